@@ -61,6 +61,27 @@ def of_records(rows, out):
         out[i] = row.arm[0] + row.arm[1]
 
 
+@kernel
+def at_limits(x, out):
+    out[0] = math.sinh(-1e3 * x)
+    out[1] = math.exp(1e3 * x)
+    out[2] = math.log(0.0 * x)
+    out[3] = math.log(-x)
+    out[4] = math.log1p(-x)
+    out[5] = math.ldexp(-x, 5000)
+    out[6] = math.sin(math.inf * x)
+
+
+def test_functions_beyond_their_range_have_the_sign_of_machine_code():
+    compiled, plain = np.zeros((2, 7))
+    at_limits(1.0, compiled)
+    with plain_kernels():
+        at_limits(1.0, plain)
+    np.testing.assert_array_equal(plain, compiled)
+    inf, nan = math.inf, math.nan
+    np.testing.assert_array_equal(plain, [-inf, inf, -inf, nan, -inf, -inf, nan])
+
+
 def test_plain_python_has_the_bits_of_machine_code():
     numbers = np.concatenate([np.random.default_rng(0).uniform(0.01, 3.0, 500), [0.0, 0.5]])
     compiled, plain = np.zeros((2, numbers.size, 15))

@@ -5,7 +5,7 @@ import numpy as np
 from bulletuav.policies.traffic import ObstacleClearance, Traffic, tabulate_buildings, true_traffic
 
 OPEN = (np.full(3, -np.inf), np.full(3, np.inf))
-TOUCH = ObstacleClearance(body=0.0, margin=0.0, reach=100.0)
+TOUCH = ObstacleClearance(body=0.0, margin=0.0, max_distance=100.0)
 
 
 def traffic_of(state, balls=(), box=OPEN, solids=None, alive=None, clear=TOUCH) -> Traffic:

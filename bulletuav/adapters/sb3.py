@@ -51,7 +51,7 @@ __all__ = [
     "LivingRollouts",
     "Symlog",
     "algorithm",
-    "own_random",
+    "preserve_random_state",
     "single_thread",
 ]
 
@@ -66,8 +66,8 @@ def algorithm(name: str) -> Any:
 
 
 @contextlib.contextmanager
-def own_random() -> Iterator[None]:
-    """Restore the global random states of Python, NumPy and PyTorch at the end.
+def preserve_random_state() -> Iterator[None]:
+    """Restore the global random states of Python, NumPy and PyTorch (CPU) at the end.
 
     Stable-baselines3 seeds them when it creates a model.
     """
@@ -104,7 +104,7 @@ class DroneVecEnv(Environment, VecEnv):
     Attributes:
         num_worlds: Number of worlds W.
         num_drones: Number of drones N of the largest stage.
-        curriculum: State of the curriculum.
+        curriculum: Rule that selects the stage, with its current stage.
         decisions: Number of decisions of drones so far, without empty slots.
         labels: Labels of the numbers of an observation, the same in all stages.
     """
@@ -125,13 +125,15 @@ class DroneVecEnv(Environment, VecEnv):
             num_worlds: Number of worlds that are stepped in one batch.
             stages: Further options of each stage, from easy to hard, such as
                 [{"num_drones": 2}, {"num_drones": 8}].
-            curriculum: Rule that selects the stage.
+            curriculum: Rule that selects the stage, with its current stage; its defaults if None.
             shared_reward: If True, each drone receives the mean of the rewards of all drones of its
                 world, where absent drones count as 0. Infos have the reward of each drone itself.
             **options: Options of `Aviary`.
 
         Raises:
-            ValueError: If an option is invalid, or observations of the stages differ in shape.
+            ValueError: If an option is invalid, the curriculum has another number of stages, stages
+                differ in the blocks or shapes of their observations or in the kind of action, or
+                there is a live view of several stages.
         """
         self._shared_reward = shared_reward
         self._task = task
@@ -173,7 +175,7 @@ class DroneVecEnv(Environment, VecEnv):
         return self._aviaries[self._stage]
 
     def seed(self, seed: int | None = None) -> list[int | None]:
-        """Seed the worlds of every stage, from the next `reset` on.
+        """Seed the worlds of every stage, from the next `reset` or first episodes of a stage on.
 
         Args:
             seed: World k gets seed + k; None continues the random sequences.
@@ -214,17 +216,24 @@ class DroneVecEnv(Environment, VecEnv):
             Observations (slots, D), or a dict of such arrays.
         """
         everywhere = np.ones(self.num_worlds, dtype=bool)
-        return self._rows(self._start(everywhere))
+        return self._rows(self._start(everywhere, True))
 
-    def _start(self, worlds: np.ndarray) -> Observation:
-        """Reset the worlds of a mask (W,), or all if the stage changes; return observations."""
+    def _start(self, worlds: np.ndarray, uses_seed: bool = False) -> Observation:
+        """Reset the worlds of a mask (W,), or all if the stage changes; return observations.
+
+        The seed is used if the stage changes, or if `uses_seed`. Otherwise single worlds would use
+        it up.
+        """
         if self.curriculum.stage != self._stage or not self._aviaries:
+            uses_seed = True
             self._stage = self.curriculum.stage
             worlds = np.ones(self.num_worlds, dtype=bool)
         # Each stage is seeded once, and then continues its random sequence
         aviary = self.aviary
-        seed = self._seed if self._stage in self._unseeded else None
-        self._unseeded.discard(self._stage)
+        seed = None
+        if uses_seed and self._stage in self._unseeded:
+            seed = self._seed
+            self._unseeded.discard(self._stage)
         observations = aviary.reset(worlds, seed)
         # Totals of the episode of each drone (W, N); returns by reward term, "" for their sum
         if worlds.all():
@@ -249,11 +258,13 @@ class DroneVecEnv(Environment, VecEnv):
 
     @exclusive
     def step_wait(self) -> tuple[Any, np.ndarray, np.ndarray, list[Info]]:
-        """Step all worlds by one decision.
+        """Step all worlds by one decision, and reset the worlds whose drones are all done.
 
         Returns:
-            Observations (slots, D), or a dict of such arrays; rewards (slots,); dones (slots,);
-            and infos of the slots.
+            Observations (slots, D), or a dict of such arrays, after the reset of a world; rewards
+            (slots,), NaN for slots without a drone; dones (slots,), which are True at the end of
+            the episode of a drone, of all slots of a world at its reset, and of slots that the
+            stage does not use; and infos of the slots.
         """
         aviary = self.aviary
         flown = aviary.alive.copy()
@@ -283,7 +294,7 @@ class DroneVecEnv(Environment, VecEnv):
         return self._rows(observations), rewards.astype(np.float32), dones, infos
 
     def _add(self, step: Step, flown: np.ndarray) -> None:
-        """Add a step to the totals of the active drones (W, N)."""
+        """Add a step to the totals of the drones that were active before it, `flown` (W, N)."""
         terms = {"": step.rewards}
         for name, term in step.info.items():
             if name.startswith("reward/"):
@@ -386,6 +397,6 @@ class DroneVecEnv(Environment, VecEnv):
 
     @exclusive
     def close(self) -> None:
-        """Disconnect from the physics engines; further calls do nothing."""
+        """Disconnect from the physics engines; calling it again does nothing."""
         for aviary in self._aviaries.values():
             aviary.close()

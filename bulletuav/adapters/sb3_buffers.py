@@ -32,8 +32,9 @@ class LivingRollouts(RolloutBuffer):
     def compute_returns_and_advantage(self, last_values: torch.Tensor, dones: np.ndarray) -> None:
         """Compute returns and advantages as stable-baselines3 does.
 
-        An episode ends before the transitions of a slot without a drone, which therefore do not
-        affect the advantages of others.
+        Sets `flown`, and replaces rewards that are NaN (slots without a drone) by 0. `DroneVecEnv`
+        reports done in the last transition of a drone, so that the transitions of slots without a
+        drone do not affect the advantages of others.
 
         Args:
             last_values: (slots,) value estimates after the last step.
@@ -92,7 +93,7 @@ class LivingReplay(ReplayBuffer):
         """
         if kwargs.get("optimize_memory_usage"):
             raise ValueError(
-                "optimize_memory_usage is True: transitions of living drones alone do not follow "
+                "optimize_memory_usage is True: transitions of active drones alone do not follow "
                 "each other"
             )
         settings = {**kwargs, "n_envs": 1}

@@ -36,7 +36,7 @@ class Sb3Model(SharedPolicy):
         if not trust:
             raise ValueError(f"{path} is not read: {TRUST}")
         sb3.single_thread()
-        with sb3.own_random():
+        with sb3.preserve_random_state():
             # Files of other types raise arbitrary errors
             try:
                 self._model: Any = sb3.algorithm(algorithm).load(path, device="cpu")

@@ -7,7 +7,7 @@ import numpy as np
 from gymnasium.spaces import Box, Dict, Space
 
 from bulletuav.adapters.features import SymlogFeatures, UserSum
-from bulletuav.adapters.sb3 import algorithm, own_random, single_thread
+from bulletuav.adapters.sb3 import algorithm, preserve_random_state, single_thread
 from bulletuav.adapters.swarm_features import SwarmFeatures
 from bulletuav.errors import missing_extra, unknown
 from bulletuav.policies.neural_network import HIGH, LOW
@@ -106,7 +106,7 @@ def policy_network(
     arguments = policy_arguments(model, num_drones, labels, pictures)
     if name in ("ppo", "a2c", "sac"):
         arguments["use_sde"] = model.get("use_sde", False)
-    with own_random():
+    with preserve_random_state():
         kind = algorithm(name).policy_aliases["MultiInputPolicy" if pictures else "MlpPolicy"]
         policy = kind(observed, given, lambda _: 0.0, **arguments)
     # Load its weights

@@ -158,7 +158,8 @@ class AirsimCalls:
             done_callback: Function that is called with the outcome when the motion ends.
 
         Raises:
-            ValueError: If the call is invalid; the vehicle continues its present motion then.
+            ValueError: If the arguments are invalid, or the vehicle is not armed or not under API
+                control. It continues its present motion then.
         """
         if not arguments or not isinstance(arguments[-1], str):
             raise ValueError(f"{name} needs a vehicle's name, or an empty one, as last argument")
@@ -228,12 +229,19 @@ class AirsimCalls:
         vehicle.hold_position(self.world.state(i))
 
     def _set_pose(self, pose: Any, ignore_collision: bool, vehicle_name: str = "") -> None:
-        """Place a vehicle at rest."""
+        """Place a vehicle at rest.
+
+        Args:
+            pose: Pose relative to the vehicle's start, NED; see `read_pose`.
+            ignore_collision: Only checked to be a bool: an overlap is always an error.
+            vehicle_name: Name of the vehicle; the first one if empty.
+        """
         i, _ = self.world.vehicle(vehicle_name)
         check_flag("ignore_collision", ignore_collision)
         self.world.place(i, *read_pose(pose))
 
     def _get_pose(self, vehicle_name: str = "") -> dict[str, Any]:
+        """Return the pose of a vehicle relative to its start, NED."""
         i, vehicle = self.world.vehicle(vehicle_name)
         swarm = self.world.airspace.swarm
         return write_pose(swarm.position[i] - vehicle.start, swarm.quaternion[i])
@@ -266,7 +274,7 @@ class AirsimCalls:
         return call
 
     def _parse_one(
-        self, camera: Any, kind: Any, vehicle_name: str = "", extra: Any = None
+        self, camera: Any, image_type: Any, vehicle_name: str = "", extra: Any = None
     ) -> ImageCall:
         """Parse a call for one PNG.
 
@@ -278,7 +286,7 @@ class AirsimCalls:
                 f"external or annotation_name is {shown(extra)}: only cameras of vehicles are "
                 f"supported, without annotations; leave it out"
             )
-        request = ImageRequest({"camera_name": camera, "image_type": kind, "compress": True})
+        request = ImageRequest({"camera_name": camera, "image_type": image_type, "compress": True})
         return ImageCall(self.world.vehicle(vehicle_name)[0], [request], False)
 
     def _parse_many(

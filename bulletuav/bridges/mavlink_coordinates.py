@@ -65,14 +65,19 @@ class Site(NamedTuple):
         Raises:
             RefusedError: If the frame is not supported, or if the position is invalid.
         """
-        if frame not in GLOBAL_FRAMES + RELATIVE_FRAMES:
-            raise RefusedError(f"frame {frame}: 0, 3, 5 or 6 is needed")
+        check_global_frame(frame)
         height = altitude + (self.altitude if frame in RELATIVE_FRAMES else 0.0)
         try:
             x, y, z = self.origin.to_local((latitude, longitude, height)).tolist()
         except ValueError:
             raise RefusedError("invalid latitude, longitude or altitude") from None
         return _check_distance((x, y, z))
+
+
+def check_global_frame(frame: int) -> None:
+    """Raise RefusedError for a frame that is not one of latitude and longitude."""
+    if frame not in GLOBAL_FRAMES + RELATIVE_FRAMES:
+        raise RefusedError(f"frame {frame}: 0, 3, 5 or 6 is needed")
 
 
 def _check_distance(position: tuple[float, float, float]) -> tuple[float, float, float]:

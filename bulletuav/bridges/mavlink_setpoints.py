@@ -2,7 +2,7 @@
 
 import math
 
-from bulletuav.bridges.mavlink_coordinates import Site
+from bulletuav.bridges.mavlink_coordinates import Site, check_global_frame
 from bulletuav.bridges.mavlink_protocol import Message, RefusedError
 from bulletuav.bridges.setpoints import AirspaceCommand, Setpoint, State, euler
 from bulletuav.control.setpoint import SetpointLevel
@@ -27,6 +27,10 @@ MAX_TILT = math.radians(60)
 def parse_local_target(message: Message, site: Site, state: State) -> Setpoint | AirspaceCommand:
     """Convert a SET_POSITION_TARGET_LOCAL_NED into a setpoint.
 
+    In the frame BODY_NED velocities are forward, right and down, and positions are ignored.
+    Velocities, accelerations and rates are clipped to `MAX_SPEED`, `MAX_ACCELERATION` and
+    `MAX_RATE`.
+
     Args:
         message: The message.
         site: Start position of the vehicle.
@@ -36,35 +40,50 @@ def parse_local_target(message: Message, site: Site, state: State) -> Setpoint |
         The setpoint, or a flight command for an acceleration.
 
     Raises:
-        RefusedError: If the frame or the type mask is not supported, or a number is not finite.
+        RefusedError: If the frame or the type mask is not supported, a number is not finite, or the
+            position is farther away than `mavlink_coordinates.MAX_DISTANCE`.
     """
     frame = message.coordinate_frame
     if frame not in (LOCAL_NED, BODY_NED):
         raise RefusedError(f"setpoint in frame {frame}: 1 or 8 is needed")
     mask = message.type_mask | (IGNORE_XY | IGNORE_Z if frame == BODY_NED else 0)
     used = [0.0 if mask & 1 << k else getattr(message, name) for k, name in enumerate("xyz")]
-    return _make_setpoint(
-        message, mask, site.from_ned(*used), state, "body" if frame == BODY_NED else ""
-    )
+    return _make_setpoint(message, mask, site.from_ned(*used), state, frame == BODY_NED)
 
 
 def parse_global_target(message: Message, site: Site, state: State) -> Setpoint | AirspaceCommand:
     """Convert a SET_POSITION_TARGET_GLOBAL_INT into a setpoint; see `parse_local_target`.
 
+    Velocities and accelerations are north, east and down in all frames of this message.
+
     Raises:
-        RefusedError: If the frame or the type mask is not supported, or a number is not finite.
+        RefusedError: If the frame or the type mask is not supported, a number is not finite, or the
+            position is farther away than `mavlink_coordinates.MAX_DISTANCE`.
     """
+    check_global_frame(message.coordinate_frame)
     mask, position = message.type_mask, (0.0, 0.0, 0.0)
     if mask & (IGNORE_XY | IGNORE_Z) != IGNORE_XY | IGNORE_Z:
         geodetic = (message.lat_int / 1e7, message.lon_int / 1e7, message.alt)
         position = site.from_global(message.coordinate_frame, *geodetic)
-    return _make_setpoint(message, mask, position, state, "")
+    return _make_setpoint(message, mask, position, state, False)
 
 
 def _make_setpoint(
-    message: Message, mask: int, position: tuple[float, float, float], state: State, body: str
+    message: Message,
+    mask: int,
+    position: tuple[float, float, float],
+    state: State,
+    is_body_frame: bool,
 ) -> Setpoint | AirspaceCommand:
-    """Combine the fields that the type mask selects: position, velocity, acceleration and yaw."""
+    """Combine the fields that the type mask selects: position, velocity, acceleration and yaw.
+
+    Args:
+        message: The message.
+        mask: Type mask; set bits mark ignored fields.
+        position: Position in the airspace, m.
+        state: State of the vehicle.
+        is_body_frame: Whether velocities are relative to the heading: forward, right, down.
+    """
     if mask & FORCE_SET and mask & IGNORE_ACCELERATION != IGNORE_ACCELERATION:
         raise RefusedError("setpoint: forces are not supported")
     velocity = _read_enu_vector(message, "v", mask >> 3, MAX_SPEED)
@@ -78,10 +97,11 @@ def _make_setpoint(
         return Setpoint("position", position[:2], "position", position[2], turning, yaw, ahead)
     if has_velocity and (has_height or climbs):
         # From forward, right to forward, left
-        xy = (velocity[1], -velocity[0]) if body else velocity[:2]
+        xy = (velocity[1], -velocity[0]) if is_body_frame else velocity[:2]
         upward, z = ("position", position[2]) if has_height else ("velocity", velocity[2])
-        return Setpoint(body or "velocity", (xy[0], xy[1]), upward, z, turning, yaw)
-    if not mask & IGNORE_ACCELERATION and not body:
+        xy_mode = "body" if is_body_frame else "velocity"
+        return Setpoint(xy_mode, (xy[0], xy[1]), upward, z, turning, yaw)
+    if not mask & IGNORE_ACCELERATION and not is_body_frame:
         acceleration = _read_enu_vector(message, "af", mask >> 6, MAX_ACCELERATION)
         held_yaw = yaw if turning == "angle" else euler(state[1])[2]
         return AirspaceCommand(SetpointLevel.ACCELERATION, (*acceleration, held_yaw))
@@ -91,7 +111,14 @@ def _make_setpoint(
 def _read_enu_vector(
     message: Message, prefix: str, ignored: int, limit: float
 ) -> tuple[float, ...]:
-    """Read a NED vector and return it as east, north, up; ignored components are 0."""
+    """Read a NED vector and return it as east, north, up.
+
+    Args:
+        message: The message.
+        prefix: Prefix of the names of the components.
+        ignored: Bits 0 to 2 mark the components x, y and z as ignored: they are 0.
+        limit: Limit of the absolute value of each component.
+    """
     north, east, down = (
         0.0 if ignored & 1 << k else _clamp_finite(getattr(message, prefix + axis), limit)
         for k, axis in enumerate("xyz")
@@ -100,14 +127,19 @@ def _read_enu_vector(
 
 
 def _clamp_finite(value: float, limit: float) -> float:
-    """Clip a number; raise RefusedError if it is not finite."""
+    """Clip a number to [-limit, limit]; raise RefusedError if it is not finite."""
     if not math.isfinite(value):
         raise RefusedError("setpoint: finite numbers are needed")
     return min(max(value, -limit), limit)
 
 
 def _read_yaw(message: Message, mask: int) -> tuple[str, float]:
-    """Read the yaw (rad, ENU) or the yaw rate; without both the present yaw is held."""
+    """Read the yaw or the yaw rate.
+
+    Returns:
+        ("angle", yaw from east to north, rad), or ("rate", yaw rate to the left, rad/s). Without
+        both the rate is 0, so that the present yaw is held.
+    """
     if not mask & IGNORE_YAW:
         return "angle", math.remainder(math.pi / 2 - _clamp_finite(message.yaw, 1e3), math.tau)
     if not mask & IGNORE_YAW_RATE:
@@ -118,6 +150,9 @@ def _read_yaw(message: Message, mask: int) -> tuple[str, float]:
 def parse_attitude_target(message: Message, airframe: Airframe) -> Setpoint:
     """Convert a SET_ATTITUDE_TARGET, whose thrust is a fraction of the maximum thrust.
 
+    Angular rates count only if the attitude is ignored. Roll and pitch are limited to `MAX_TILT`,
+    rates to `MAX_RATE`.
+
     Args:
         message: The message.
         airframe: Airframe of the vehicle.
@@ -126,7 +161,8 @@ def parse_attitude_target(message: Message, airframe: Airframe) -> Setpoint:
         The setpoint.
 
     Raises:
-        RefusedError: If the type mask is not supported, or a number is not finite.
+        RefusedError: If the thrust, or the attitude and all rates, are ignored, the quaternion is
+            zero, or a number is not finite.
     """
     # Set bits of the mask mark ignored fields
     mask = message.type_mask

@@ -36,8 +36,8 @@ class Decomposer:
     """Context manager that decomposes meshes into convex pieces with CoACD.
 
     CoACD is native code that crashes on some meshes and hangs on others. It runs in a subprocess,
-    which starts with the first mesh and decomposes all meshes. The subprocess is started by
-    `subprocess`, not forked, so that it is independent of the threads of this process.
+    which starts with the first mesh, decomposes all meshes, and is replaced after a failure. It is
+    started by `subprocess`, not forked, so that it is independent of the threads of this process.
 
     The results of CoACD do not depend on the number of threads.
     """

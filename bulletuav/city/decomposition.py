@@ -23,7 +23,8 @@ def split_mesh(
     """Split a mesh into convex pieces.
 
     Each closed component is one piece if it is convex. Upright prisms are cut exactly, all others
-    by CoACD. Components that are not closed are replaced by their convex hulls.
+    by CoACD. Components that are not closed are replaced by their convex hulls. Flat components
+    next to solid ones are skipped; if all are flat, they form one hull together.
 
     Args:
         mesh: The mesh.
@@ -61,9 +62,9 @@ def split_mesh(
 
 
 def _split_component(
-    mesh: Mesh, hull: float, where: str, notes: Notebook, decompose: Decomposer
+    mesh: Mesh, hull_volume: float, where: str, notes: Notebook, decompose: Decomposer
 ) -> Iterator[np.ndarray]:
-    """Split a mesh with a hull volume, m^3, into convex pieces."""
+    """Split a mesh whose convex hull has the volume `hull_volume`, m^3, into convex pieces."""
     closed = outward(mesh)
     if closed is None:
         notes.add("hull", where, "its mesh is not closed")
@@ -71,7 +72,7 @@ def _split_component(
         return
     check_extent(notes.path, mesh.points[:, :2].min(axis=0), mesh.points[:, :2].max(axis=0), None)
     filled = volume(closed)
-    if filled >= (1 - FILLED) * hull:
+    if filled >= (1 - FILLED) * hull_volume:
         yield mesh.points
     else:
         pieces = prism_pieces(closed, filled) or decompose(closed, f"{notes.path}, {where}")
@@ -80,7 +81,7 @@ def _split_component(
         pieces = [piece for piece, size in zip(pieces, sizes, strict=True) if size > 0]
         if not pieces:
             raise ValueError(f"{notes.path}, {where}: its pieces have no volume: {REMEDY}")
-        beyond = max(float(_outside_in_chunks(closed, piece).max()) for piece in pieces)
+        beyond = max(float(_outside_distances(closed, piece).max()) for piece in pieces)
         notes.splits.append(Split(where, len(pieces), filled, sum(sizes), beyond))
         yield from pieces
 
@@ -95,8 +96,8 @@ def _hull_volume(points: np.ndarray) -> float:
         return 0.0
 
 
-def _outside_in_chunks(mesh: Mesh, piece: np.ndarray) -> np.ndarray:
-    """Return the outside distances (K,) of a piece's surface samples from a mesh, m."""
+def _outside_distances(mesh: Mesh, piece: np.ndarray) -> np.ndarray:
+    """Return the distances (K,) of a piece's surface samples outside a mesh, m; 0 inside."""
     samples = _surface_samples(piece)
     chunks = np.array_split(samples, len(samples) // CHUNK + 1)
     return np.concatenate([outside(mesh, chunk) for chunk in chunks])

@@ -68,8 +68,9 @@ def from_geojson(
 
     Args:
         path: The file.
-        side: Side of the city's square, m, with unchanged coordinates in metres; None for the
-            smallest square around the footprints.
+        side: Side of the city's square, m. The square is centred on the origin of the coordinates,
+            which is the centre of all footprints if they are in degrees; nothing is shifted. None
+            for the smallest square around the footprints, whose centre becomes the origin.
         height: Property with the height of a building, m.
         default_height: Height of buildings without height and levels, m; None for an estimate of 10
             m.
@@ -81,8 +82,10 @@ def from_geojson(
 
     Raises:
         FileNotFoundError: If there is no such file.
-        ImportError: If the named extra is not installed.
-        ValueError: If the file cannot be read; the message names the feature.
+        ImportError: If the extra `city` is not installed.
+        ValueError: If the file is not a FeatureCollection, coordinates are not degrees, the city
+            does not fit into `side` or a world, an option is invalid, or `strict` forbids a repair,
+            an estimate or a skipped feature; the message names the feature.
     """
     path = require_file("city", path, REMEDY)
     check_flags(metres=metres, strict=strict)

@@ -161,23 +161,25 @@ class City:
         of_hulls = [_top(hull) for hull in self.solids.hulls]
         return _padded(of_boxes + of_hulls, 3)
 
-    def _near(self, plan: np.ndarray, reach: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Find the pairs of points (K, 2) and footprints within `reach` m.
+    def _near(
+        self, plan: np.ndarray, max_distance: float
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Find the pairs of points (K, 2) and footprints within `max_distance` m.
 
         Returns the indices of both, and their distances, m; 0 inside.
         """
         # Sort points by strips from west to east, then from south to north
         order = np.lexsort([plan[:, 1], np.floor(plan[:, 0] / STRIP)])
         groups = np.split(order, range(GROUP, len(order), GROUP))
-        west, south = self.solids.bounds[:, 0, :2].T - reach
-        east, north = self.solids.bounds[:, 1, :2].T + reach
+        west, south = self.solids.bounds[:, 0, :2].T - max_distance
+        east, north = self.solids.bounds[:, 1, :2].T + max_distance
         sides = np.stack([west, east, south, north])
-        found = [self._near_group(plan, group, reach, sides) for group in groups]
+        found = [self._near_group(plan, group, max_distance, sides) for group in groups]
         point, piece, distance = zip(*found, strict=True)
         return np.concatenate(point), np.concatenate(piece), np.concatenate(distance)
 
     def _near_group(
-        self, plan: np.ndarray, group: np.ndarray, reach: float, sides: np.ndarray
+        self, plan: np.ndarray, group: np.ndarray, max_distance: float, sides: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Find the pairs of `_near` for the points with the indices `group`.
 
@@ -202,7 +204,7 @@ class City:
         # Exact distances
         start, edge = self._walls
         distance = _distance(plan[point, None], start[piece], edge[piece])
-        near = distance <= reach
+        near = distance <= max_distance
         return point[near], piece[near], distance[near]
 
 

@@ -1,5 +1,6 @@
 """SIMD vectors of numbers of several drones: formulas of one drone then compute `WIDTH` drones.
 
+A lane is one drone of several that are computed at once (SIMD).
 A compiled function that receives `Lanes` instead of floats adds, multiplies, divides and takes
 square roots in each lane, with the same bits as with floats on any processor. `where` replaces
 branches. `lanes_row` and `lanes_of` are the counterparts of rows of constants and of arrays. In

@@ -176,34 +176,37 @@ def select_lanes(condition: Any, one: Any, other: Any) -> Any:
     return one if condition else other
 
 
-def _greater(first: Any, *others: Any) -> Any:
+def _lane_max(first: Any, *others: Any) -> Any:
     """Return the maximum in each lane, as Python's `max` does."""
     for other in others:
         first = select_lanes(other > first, other, first)
     return first
 
 
-def _lesser(first: Any, *others: Any) -> Any:
+def _lane_min(first: Any, *others: Any) -> Any:
     """Return the minimum in each lane, as Python's `min` does."""
     for other in others:
         first = select_lanes(other < first, other, first)
     return first
 
 
-_BUILTINS = {"max": _greater, "min": _lesser, "float": np.float64, _product.__name__: _product}
+_BUILTINS = {"max": _lane_max, "min": _lane_min, "float": np.float64, _product.__name__: _product}
 
 
-def _raising_nothing(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Wrap a function of `math` to return inf or NaN instead of raising, as NumPy numbers."""
+def _without_errors(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Wrap a function of `math` to return inf or NaN instead of raising.
+
+    The signs are those of compiled code, such as -inf for `sinh(-1000)` and `log(0)`. Functions
+    that NumPy does not have return NaN.
+    """
+    in_numpy = getattr(np, function.__name__, None)
 
     def wrapped(*numbers: Any) -> Any:
         try:
             return as_compiled(function(*numbers))
-        except OverflowError:
-            return np.float64(math.inf)
-        except ValueError:
-            is_pole = function in (math.log, math.log2, math.log10) and numbers[0] == 0.0
-            return np.float64(-math.inf if is_pole else math.nan)
+        except (OverflowError, ValueError):
+            with np.errstate(all="ignore"):
+                return np.float64(math.nan if in_numpy is None else in_numpy(*numbers))
 
     return wrapped
 
@@ -213,14 +216,14 @@ def _sqrt(x: Any) -> Any:
 
 
 def _floor(x: Any) -> Any:
-    return np.floor(x) if isinstance(x, np.ndarray) else _raising_nothing(math.floor)(x)
+    return np.floor(x) if isinstance(x, np.ndarray) else _without_errors(math.floor)(x)
 
 
 def _make_math() -> types.SimpleNamespace:
     """Return a namespace with the functions of `math` as they behave in compiled code."""
     names = {name: value for name, value in vars(math).items() if not name.startswith("_")}
     wrapped = {
-        name: _raising_nothing(value) if callable(value) else as_compiled(value)
+        name: _without_errors(value) if callable(value) else as_compiled(value)
         for name, value in names.items()
     }
     return types.SimpleNamespace(**{**wrapped, "sqrt": _sqrt, "floor": _floor})

@@ -19,7 +19,7 @@ class Conflict(NamedTuple):
     """Separations of each drone from all others within one decision.
 
     Attributes:
-        separation: (W, N) minimum distance to another living drone, m; inf for a single drone.
+        separation: (W, N) minimum distance to another active drone, m; inf for a single drone.
         onsets: (W, N) number of other drones with which a conflict started.
         nearness: (W, N) sum over the other drones of the depth in the warning zone, from 0 at its
             edge to 1 at d_safe.

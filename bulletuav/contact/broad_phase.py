@@ -53,19 +53,21 @@ Attributes:
 
 
 @allocating
-def _add_pair(pairs: np.ndarray, count: int, first: int, a: int, b: int) -> tuple[np.ndarray, int]:
+def _add_pair(
+    pairs: np.ndarray, num_pairs: int, first: int, a: int, b: int
+) -> tuple[np.ndarray, int]:
     """Add a pair unless it is among those from `first` on; returns the pairs and their number."""
-    for p in range(first, count):
+    for p in range(first, num_pairs):
         same = pairs[p].a == a and pairs[p].b == b
         if same or (pairs[p].b == a and pairs[p].a == b):
-            return pairs, count
-    if count == pairs.shape[0]:
+            return pairs, num_pairs
+    if num_pairs == pairs.shape[0]:
         # A loop over rows compiles in a quarter of the time
-        wider = np.empty(2 * count, dtype=PAIR)
-        for p in range(count):
+        wider = np.empty(2 * num_pairs, dtype=PAIR)
+        for p in range(num_pairs):
             wider[p] = pairs[p]
         pairs = wider
-    pair = pairs[count]
+    pair = pairs[num_pairs]
     pair.a = a
     pair.b = b
     pair.impact_time = 0.0
@@ -76,7 +78,7 @@ def _add_pair(pairs: np.ndarray, count: int, first: int, a: int, b: int) -> tupl
     pair.is_segment_end = False
     pair.is_on_sleeper = False
     pair.in_impact = False
-    return pairs, count + 1
+    return pairs, num_pairs + 1
 
 
 @func
@@ -104,37 +106,38 @@ def collect_pairs(
     order: np.ndarray,
     rank: int,
     again: bool,
-    speed: float,
+    obstacle_displacement: float,
     pairs: np.ndarray,
-    count: int,
+    num_pairs: int,
 ) -> tuple[np.ndarray, int]:
-    """Add the pairs of a drone with all shapes within its reach.
+    """Add the pairs of a drone with all shapes that it may touch in the substep.
 
     Args:
         scenery: All shapes.
-        motions: (N,) rows of `MOTION`; `start_position`, `reach` and `is_due` are read.
+        motions: (N,) rows of `MOTION`; `start_position`, `range` and `is_due` are read.
         alive: (W, N) bool, drones that can be touched.
         w: Index of the world.
         order: (N,) drones of the world sorted by x, then y, then z.
-        rank: Position of the drone in `order`. Pairs with due drones of lower rank exist already.
+        rank: Position of the drone in `order`. Its pairs with drones of lower
+            rank that are checked, too, exist already.
         again: True if pairs of the drone were collected before in this substep.
-        speed: Displacement of the fastest obstacle in the substep, m.
+        obstacle_displacement: Displacement of the fastest obstacle in the substep, m.
         pairs: Rows of `PAIR` that were found before.
-        count: Number of these pairs.
+        num_pairs: Number of these pairs.
 
     Returns:
         The pairs, perhaps in a larger array, and their number.
     """
     i = order[rank]
     here = read_vec3(motions[i].start_position)
-    far = scenery.table.radius[i] + motions[i].reach + CONTACT_DISTANCE
-    known = 0 if again else count
+    far = scenery.table.radius[i] + motions[i].range + CONTACT_DISTANCE
+    known = 0 if again else num_pairs
     # Static shapes: ground, bodies and building pieces
     if here[2] < far:
-        pairs, count = _add_pair(pairs, count, known, i, scenery.ground)
+        pairs, num_pairs = _add_pair(pairs, num_pairs, known, i, scenery.ground)
     for k in range(scenery.place.shape[1]):
-        if bound_body_distance(scenery, w, k, here) < far + speed:
-            pairs, count = _add_pair(pairs, count, known, i, scenery.first_body + k)
+        if bound_body_distance(scenery, w, k, here) < far + obstacle_displacement:
+            pairs, num_pairs = _add_pair(pairs, num_pairs, known, i, scenery.first_body + k)
     city_grid = scenery.city_grid
     layout = city_grid.layout[w]
     if layout != NO_LAYOUT:
@@ -148,7 +151,7 @@ def collect_pairs(
                     p = city_grid.item[m]
                     if compute_piece_distance(city_grid, p, here) < far:
                         other = scenery.first_piece + p
-                        pairs, count = _add_pair(pairs, count, known, i, other)
+                        pairs, num_pairs = _add_pair(pairs, num_pairs, known, i, other)
     # Other drones in sorted order; the drone of lower rank is a
     for place in range(order.shape[0]):
         j = order[place]
@@ -156,13 +159,13 @@ def collect_pairs(
         if j == i or not alive[w, j] or is_paired:
             continue
         between = minus(read_vec3(motions[j].start_position), here)
-        within = far + scenery.table.radius[j] + motions[j].reach
+        within = far + scenery.table.radius[j] + motions[j].range
         if dot(between, between) < within * within:
             if place < rank:
-                pairs, count = _add_pair(pairs, count, known, j, i)
+                pairs, num_pairs = _add_pair(pairs, num_pairs, known, j, i)
             else:
-                pairs, count = _add_pair(pairs, count, known, i, j)
-    return pairs, count
+                pairs, num_pairs = _add_pair(pairs, num_pairs, known, i, j)
+    return pairs, num_pairs
 
 
 @func
@@ -203,13 +206,17 @@ def are_swept_bounds_apart(
         where = vec3(scenery.place, w, k)
         drift = vec3(scenery.velocity, w, k)
         begun = motions[a].time * dt
-        rest = (motions[a].end_time - motions[a].time) * dt
+        remaining = (motions[a].end_time - motions[a].time) * dt
         before = (
             here[0] - where[0] - begun * drift[0],
             here[1] - where[1] - begun * drift[1],
             here[2] - where[2] - begun * drift[2],
         )
-        change = (move[0] - rest * drift[0], move[1] - rest * drift[1], move[2] - rest * drift[2])
+        change = (
+            move[0] - remaining * drift[0],
+            move[1] - remaining * drift[1],
+            move[2] - remaining * drift[2],
+        )
         turn = quat4(scenery.quaternion, w, k)
         return _is_sweep_clear_of_box(table.centre[b], table.half[b], margin, turn, before, change)
     p = b - scenery.first_piece

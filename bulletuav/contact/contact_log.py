@@ -51,16 +51,16 @@ def make_contact_log(num_worlds: int, num_drones: int) -> ContactLog:
 @func
 def _find_slot(touches: ContactLog, w: int, i: int, other: int) -> int:
     """Return the slot of a drone's contacts with another shape, a new one for the first contact."""
-    count = int(touches.number[w, i])
-    for k in range(count):
+    num_contacts = int(touches.number[w, i])
+    for k in range(num_contacts):
         if touches.other[w, i, k] == other:
             return k
-    if count == MAX_LOGGED_CONTACTS:
+    if num_contacts == MAX_LOGGED_CONTACTS:
         return MAX_LOGGED_CONTACTS - 1
-    touches.number[w, i] = count + 1
-    touches.other[w, i, count] = other
-    touches.impulse[w, i, count] = 0.0
-    return count
+    touches.number[w, i] = num_contacts + 1
+    touches.other[w, i, num_contacts] = other
+    touches.impulse[w, i, num_contacts] = 0.0
+    return num_contacts
 
 
 @kernel

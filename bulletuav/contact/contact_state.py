@@ -35,7 +35,7 @@ class ContactState(NamedTuple):
         space: Arrays to work on.
         start: State at the beginning of the present substep.
         budget: (W, N) distance that each drone may move before it is checked, m.
-        turns: (W, N) bool, drones close to the ground, whose rotation uses up budget.
+        uses_rotation: (W, N) bool, drones close to the ground, whose rotation uses up budget.
         friction: Coefficient of friction of the ground and of buildings.
         restitution: Coefficient of restitution of the ground and of buildings.
         stops: True if drones stop at a contact instead of receiving an impulse.
@@ -48,7 +48,7 @@ class ContactState(NamedTuple):
         support: (W, N) rows of `SUPPORT`, what sleeping drones rest on.
         slept: Contacts of each sleeping drone in the decision in which it was put to sleep.
         dozes: (W, N) bool, drones that are about to sleep or to wake.
-        flew: (W, N) bool, drones that flew in the last decision.
+        flew: (W, N) bool, drones that were active in the last decision.
         stopped: (W, N) bool, drones that stopped in this decision.
         changed: (W, N) bool, drones whose state the last substep changed.
         touches: Contacts of this decision.
@@ -62,7 +62,7 @@ class ContactState(NamedTuple):
     space: ContactWorkspace
     start: Swarm
     budget: np.ndarray
-    turns: np.ndarray
+    uses_rotation: np.ndarray
     friction: float
     restitution: float
     stops: bool
@@ -109,7 +109,7 @@ def make_contact_state(
         space=make_contact_workspace(drones),
         start=Swarm.zeros(*each, 0),
         budget=np.full(each, -1.0),
-        turns=np.zeros(each, dtype=bool),
+        uses_rotation=np.zeros(each, dtype=bool),
         friction=friction,
         restitution=restitution,
         stops=stops,
@@ -140,12 +140,12 @@ def wake_drone(contact: ContactState, w: int, i: int) -> None:
     if not asleep[w, i]:
         return
     # Flood fill: each woken drone, listed in `island`, wakes the sleeping drones near it
-    count = 1
+    num_woken = 1
     done = 0
     space.island[0] = i
     asleep[w, i] = False
     radius = contact.scenery.table.radius
-    while done < count:
+    while done < num_woken:
         k = space.island[done]
         done += 1
         contact.quiet[w, k] = 0.0
@@ -158,8 +158,8 @@ def wake_drone(contact: ContactState, w: int, i: int) -> None:
                 within = radius[k] + radius[j] + WAKE_DISTANCE
                 if dot(between, between) < within * within:
                     asleep[w, j] = False
-                    space.island[count] = j
-                    count += 1
+                    space.island[num_woken] = j
+                    num_woken += 1
 
 
 @func
@@ -171,7 +171,7 @@ def wake_near_obstacles(contact: ContactState, world: ContactWorld) -> None:
         if not contact.asleep[w, i]:
             continue
         here = vec3(contact.start.position, w, i)
-        near = scenery.table.radius[i] + 2.0 * world.speed + WAKE_DISTANCE
+        near = scenery.table.radius[i] + 2.0 * world.obstacle_displacement + WAKE_DISTANCE
         for k in range(contact.before.shape[1]):
             drift = vec3(scenery.velocity, w, k)
             if dot(drift, drift) > 0.0 and bound_body_distance(scenery, w, k, here) < near:
@@ -221,10 +221,10 @@ def stays_asleep(
     if first:
         # Without a safe support, the drone must have been at rest for `TIME_TO_SLEEP`
         return bool(contact.quiet[w, i] >= TIME_TO_SLEEP)
-    reach = contact.scenery.table.radius[i]
+    radius = contact.scenery.table.radius[i]
     for k in range(3):
         if abs(load[k] - acceleration[k]) > MAX_LOAD_CHANGE:
             return False
-        if reach * abs(load[3 + k] - spinning[k]) > MAX_LOAD_CHANGE:
+        if radius * abs(load[3 + k] - spinning[k]) > MAX_LOAD_CHANGE:
             return False
     return True

@@ -48,11 +48,11 @@ def place_world_obstacles(contact: ContactState, w: int, substep: int, step: Tim
         substep: Index of the substep in the decision.
         step: Division of the decision into substeps.
     """
-    share, period = substep / step.substeps, step.substeps * step.dt
+    fraction, period = substep / step.substeps, step.substeps * step.dt
     for k in range(contact.before.shape[1]):
         for m in range(3):
             change = contact.after[w, k, m] - contact.before[w, k, m]
-            contact.scenery.place[w, k, m] = contact.before[w, k, m] + share * change
+            contact.scenery.place[w, k, m] = contact.before[w, k, m] + fraction * change
             contact.scenery.velocity[w, k, m] = change / period
 
 
@@ -91,7 +91,7 @@ def step_contacts(
 def _resolve_world(
     contact: ContactState, drones: DroneArrays, w: int, substep: int, step: TimeStep
 ) -> bool:
-    """Resolve the contacts of a world in which drones are due; see `step_contacts`."""
+    """Resolve the contacts of a world in which drones have to be checked; see `step_contacts`."""
     contact = in_memory(contact)
     place_world_obstacles(contact, w, substep, step)
     world = in_memory(
@@ -111,14 +111,14 @@ def _resolve_world(
         )
     )
     swarm = in_memory(drones.swarm)
-    if contact.sleeps and world.speed > 0.0:
+    if contact.sleeps and world.obstacle_displacement > 0.0:
         wake_near_obstacles(contact, world)
     any_impact = resolve_contacts(
         contact.space,
         world,
         swarm,
         contact.budget,
-        contact.turns,
+        contact.uses_rotation,
         contact.stopped,
         contact.changed,
         contact.touches,
@@ -171,7 +171,7 @@ def start_decision(contact: ContactState, alive: np.ndarray, period: float) -> N
 
     Args:
         contact: State of all contacts; `before` and `after` give the positions of obstacles.
-        alive: (W, N) bool, drones that fly.
+        alive: (W, N) bool, active drones.
         period: Length of the decision, s.
     """
     for w in range(alive.shape[0]):
@@ -185,8 +185,8 @@ def start_decision(contact: ContactState, alive: np.ndarray, period: float) -> N
         jumped, square = False, 0.0
         for k in range(contact.before.shape[1]):
             begin, end = vec3(contact.before, w, k), vec3(contact.after, w, k)
-            way = minus(end, begin)
-            square = max(square, dot(way, way))
+            displacement = minus(end, begin)
+            square = max(square, dot(displacement, displacement))
             jumped = jumped or vec3(contact.scenery.place, w, k) != begin
         contact.speed[w] = math.sqrt(square) / period
         if jumped:
@@ -245,18 +245,18 @@ def summarize_contacts(
         velocity: (W, N, 3) at the end of the decision, m/s.
         rates: (W, N, 3) rad/s.
         slowest: Maximum speed of a drone at rest, m/s.
-        slowest_spin: Maximum spin of a drone at rest, rad/s.
+        slowest_spin: Maximum angular velocity of a drone at rest, rad/s.
         collision: (W, N) bool, written: whether the drone touched anything.
         resting: (W, N) bool, written: whether it did and is at rest.
         impulse: (W, N) written: largest impulse from a single body, N s.
     """
     for w in range(collision.shape[0]):
         for i in range(collision.shape[1]):
-            count = number[w, i]
-            collision[w, i] = count > 0
+            num_contacts = number[w, i]
+            collision[w, i] = num_contacts > 0
             resting[w, i] = False
             impulse[w, i] = 0.0
-            if count == 0:
+            if num_contacts == 0:
                 continue
             fast, spin = vec3(velocity, w, i), vec3(rates, w, i)
             calm = math.sqrt(dot(fast, fast)) <= slowest
@@ -264,9 +264,9 @@ def summarize_contacts(
             resting[w, i] = calm
 
             # Several shapes may belong to one city, or to one body
-            for k in range(count):
+            for k in range(num_contacts):
                 one, total = _get_owner(other[w, i, k], names), 0.0
-                for m in range(count):
+                for m in range(num_contacts):
                     if _get_owner(other[w, i, m], names) == one:
                         total += impulses[w, i, m]
                 impulse[w, i] = max(impulse[w, i], total)
@@ -323,11 +323,11 @@ def _record_overlaps(contact: ContactState, drones: DroneArrays, moved: np.ndarr
         )
         for i in range(alive.shape[1]):
             space.motions[i].is_due = moved[w, i] and alive[w, i]
-            space.motions[i].reach = 0.0
+            space.motions[i].range = 0.0
             space.motions[i].is_started = False
         sort_drones(space.order, swarm.position, w)
-        pairs, count = find_pairs(space, world, swarm, space.order)
-        for p in range(count):
+        pairs, num_pairs = find_pairs(space, world, swarm, space.order)
+        for p in range(num_pairs):
             record_overlap(space, world, pairs[p], contact.touches)
 
 

@@ -7,7 +7,7 @@ from bulletuav.compiled.deferred import deferred
 from bulletuav.compiled.kernel import allocating, func, kernel
 from bulletuav.contact.clamping import (
     MIN_APPROACH_SPEED,
-    clamp_spent_drones,
+    clamp_drones_at_limit,
     compute_carried_displacement,
     remove_forces,
 )
@@ -54,7 +54,7 @@ MIN_CLOSING_SPEED = 1e-6
 MAX_SPECULATIVE_PASSES = 4
 """Maximum number of passes of an impact that search for speculative contacts"""
 MIN_SPECULATIVE_TIME = 1e-6
-"""Rest of a substep below which there are no speculative contacts, s"""
+"""Remaining substep below which there are no speculative contacts, s"""
 UNCONSTRAINED_VELOCITY = -1e9
 """Target velocity of points that do not constrain the motion, m/s"""
 
@@ -70,20 +70,32 @@ def _needs_restitution(point: np.record) -> bool:
 
 @func
 def _apply_restitution(
-    space: ContactWorkspace, world: ContactWorld, members: int, points: np.ndarray, size: int
+    space: ContactWorkspace,
+    world: ContactWorld,
+    num_members: int,
+    points: np.ndarray,
+    num_points: int,
 ) -> bool:
-    """Apply Newton's restitution to fast contacts without a gain of energy, and stop slow ones.
+    """Apply Newton's restitution to fast contacts without a gain of energy, or stop slow ones.
 
-    Fast contacts without restitution are left to `_solve_resting_contacts`, since forces of this
-    substep belong to the velocity before.
+    If any fast contact has restitution, all touching points are solved. If all touching points are
+    slow, their approach is stopped. Otherwise all points are left to `_solve_resting_contacts`,
+    since forces of this substep belong to the velocity before.
+
+    Args:
+        space: Arrays to work on; `island` has the drones of the island.
+        world: The world.
+        num_members: Number of drones of the island.
+        points: Rows of `CONTACT_POINT`; impulses and target velocities are written.
+        num_points: Number of points in use.
 
     Returns:
-        True if all touching points are slow.
+        True if all touching points are slow: none approaches faster than `RESTITUTION_THRESHOLD`.
     """
     rebounds = False
     closes = False
     slow = True
-    for k in range(size):
+    for k in range(num_points):
         point = points[k]
         point.target_velocity = UNCONSTRAINED_VELOCITY
         if point.distance > MAX_CONTACT_DISTANCE:
@@ -95,32 +107,36 @@ def _apply_restitution(
             rebounds = rebounds or point.restitution > 0.0
             point.target_velocity = -point.restitution * point.normal_velocity
     if rebounds:
-        frame = find_reference_velocity(points, size)
-        had = compute_kinetic_energy(space, world, members, frame, 0.0)
-        save_velocities(space, members, points, size)
-        solve_constraints(points, size, space.motions, world.dt, TIGHT_TOLERANCE, COLD_START)
-        accumulate_impulses(points, size)
-        limit_energy(space, world, members, points, size, frame, had, 0.0)
+        frame = find_reference_velocity(points, num_points)
+        had = compute_kinetic_energy(space, world, num_members, frame, 0.0)
+        save_velocities(space, num_members, points, num_points)
+        solve_constraints(points, num_points, space.motions, world.dt, TIGHT_TOLERANCE, COLD_START)
+        accumulate_impulses(points, num_points)
+        limit_energy(space, world, num_members, points, num_points, frame, had, 0.0)
     elif closes and slow:
         # Stopping an approach gains no energy
-        solve_constraints(points, size, space.motions, world.dt, SINGLE_BODY_TOLERANCE, COLD_START)
-        accumulate_impulses(points, size)
+        solve_constraints(
+            points, num_points, space.motions, world.dt, SINGLE_BODY_TOLERANCE, COLD_START
+        )
+        accumulate_impulses(points, num_points)
     return slow
 
 
 @func
-def _set_target_velocities(pairs: np.ndarray, points: np.ndarray, size: int, dt: float) -> None:
-    """Set the velocity along the normal that each contact point may, or must, reach.
+def _set_target_velocities(
+    pairs: np.ndarray, points: np.ndarray, num_points: int, dt: float
+) -> None:
+    """Set the lower bound of the velocity along the normal at each contact point.
 
     Within a pair the target is linear in the distances, as the motion of rigid bodies is: a pair
     can therefore reach it at all of its points. A drone on a sleeping drone need not part from it
     unless they overlap, because a drone wedged between two others could not.
     """
     k = 0
-    while k < size:
+    while k < num_points:
         end = k
         deepest = 0.0
-        while end < size and points[end].pair == points[k].pair:
+        while end < num_points and points[end].pair == points[k].pair:
             deepest = max(deepest, TARGET_SEPARATION - points[end].distance)
             end += 1
         rate = 1.0 / max(dt, deepest / MAX_PUSH_OUT_SPEED)
@@ -140,28 +156,35 @@ def _set_target_velocities(pairs: np.ndarray, points: np.ndarray, size: int, dt:
 
 
 @func
-def apply_forces(space: ContactWorkspace, members: int, time: float, sign: float) -> None:
-    """Add what forces do in the rest of the substep, times sign, to the velocities of an island."""
-    rest = sign * (1.0 - time)
-    for m in range(members):
+def apply_forces(space: ContactWorkspace, num_members: int, time: float, sign: float) -> None:
+    """Change the velocities of an island as its forces do in the remaining substep.
+
+    Args:
+        space: Arrays to work on; `island` has the drones of the island.
+        num_members: Number of drones of the island.
+        time: Present time, as a fraction of the substep.
+        sign: 1 to add the change, -1 to subtract it.
+    """
+    remaining = sign * (1.0 - time)
+    for m in range(num_members):
         motion = space.motions[space.island[m]]
         angular_change = apply_inverse_inertia(motion, read_vec3(motion.momentum_change))
         for k in range(3):
-            motion.velocity[k] += rest * motion.velocity_change[k]
-            motion.spin[k] += rest * angular_change[k]
+            motion.velocity[k] += remaining * motion.velocity_change[k]
+            motion.spin[k] += remaining * angular_change[k]
 
 
 @func
 def _use_mean_velocity(motion: np.record, time: float, dt: float) -> None:
-    """Move a drone with the mean of its velocities at the start and the end of the segment.
+    """Set the displacement of a path segment from the mean of its start and end velocities.
 
-    `start_segment` uses the velocity at the end, which is 1 % too far at the start of a slide.
+    `start_segment` uses the end velocity, which is 1 % too far at the start of a slide.
     """
-    rest = 1.0 - time
-    share = (motion.end_time - time) / rest if rest > 0.0 else 0.0
+    remaining = 1.0 - time
+    fraction = (motion.end_time - time) / remaining if remaining > 0.0 else 0.0
     for k in range(3):
-        began = motion.saved_velocities[0, k] - rest * motion.velocity_change[k]
-        mean = began + 0.5 * share * (motion.velocity[k] - began)
+        began = motion.saved_velocities[0, k] - remaining * motion.velocity_change[k]
+        mean = began + 0.5 * fraction * (motion.velocity[k] - began)
         motion.displacement[k] = (motion.end_time - time) * dt * mean
 
 
@@ -170,99 +193,131 @@ def _solve_resting_contacts(
     space: ContactWorkspace,
     world: ContactWorld,
     pairs: np.ndarray,
-    count: int,
-    members: int,
+    num_pairs: int,
+    num_members: int,
     points: np.ndarray,
-    size: int,
+    num_points: int,
     time: float,
     slow: bool,
 ) -> int:
-    """Solve the contacts of an island against forces for the rest of the substep.
+    """Solve the contacts of an island against forces for the remaining substep.
 
-    Also stops what approaches slowly. Where all contacts are slow and something supports the
-    island, drones move with the mean of the velocities before and after, as forces act along the
-    whole path. In free fall, moving with any other velocity than the present one would change the
-    angular momentum.
+    This also stops points that approach slowly. Drones start a path segment with the velocity that
+    they would have at the end of the substep. If all contacts are slow and something supports the
+    island, they move with the mean of the velocities before and after instead, as forces act along
+    the whole path. A drone in a pile does so only at its first impact in the substep: later its
+    saved velocity is not that of its path. In free fall, moving with any other velocity than the
+    present one would change the angular momentum.
 
-    Contacts that would arise until the end of the substep get speculative points, which share the
-    load with the present points.
+    Contacts that would arise until the end of the substep get speculative points. They share the
+    load with the present points, except for a fast drone on its own, which leaves the contact
+    before it would rock.
+
+    The velocities at `time` are restored at the end, changed by the impulses alone, because forces
+    are added along the path.
+
+    Args:
+        space: Arrays to work on; `island` has the drones of the island.
+        world: The world.
+        pairs: Rows of `PAIR`.
+        num_pairs: Number of pairs in use.
+        num_members: Number of drones of the island.
+        points: Rows of `CONTACT_POINT`; impulses are written, speculative points added.
+        num_points: Number of points in use.
+        time: Time of the impact, as a fraction of the substep.
+        slow: Result of `_apply_restitution`.
 
     Returns:
-        Number of points, speculative points included.
+        Number of points, including the speculative ones.
     """
     motions = space.motions
-    _set_target_velocities(pairs, points, size, world.dt)
-    frame = find_reference_velocity(points, size)
-    had = compute_kinetic_energy(space, world, members, frame, MAX_PUSH_OUT_SPEED)
-    apply_forces(space, members, time, 1.0)
-    save_velocities(space, members, points, size)
+    _set_target_velocities(pairs, points, num_points, world.dt)
+    frame = find_reference_velocity(points, num_points)
+    had = compute_kinetic_energy(space, world, num_members, frame, MAX_PUSH_OUT_SPEED)
+    apply_forces(space, num_members, time, 1.0)
+    save_velocities(space, num_members, points, num_points)
     memory = world.memory
     radii = world.scenery.table.radius
-    tolerance = SINGLE_BODY_TOLERANCE if members == 1 else MULTI_BODY_TOLERANCE
-    is_single = members == 1
+    tolerance = SINGLE_BODY_TOLERANCE if num_members == 1 else MULTI_BODY_TOLERANCE
+    is_single = num_members == 1
     is_supported = False
-    for p in range(count):
+    for p in range(num_pairs):
         is_single = is_single and not (pairs[p].in_impact and pairs[p].is_on_sleeper)
         bears = pairs[p].is_on_sleeper or pairs[p].b >= motions.shape[0]
         is_supported = is_supported or (pairs[p].in_impact and bears)
     for trial in range(MAX_SPECULATIVE_PASSES + 1):
         if trial == 0:
-            warm_start_impulses(memory, motions, radii, world.w, points, pairs, size, 1.0 - time)
-            solve_constraints(points, size, motions, world.dt, tolerance, WARM_START)
+            warm_start_impulses(
+                memory, motions, radii, world.w, points, pairs, num_points, 1.0 - time
+            )
+            solve_constraints(points, num_points, motions, world.dt, tolerance, WARM_START)
             island = space.island
             store_impulses(
-                memory, motions, world.w, island, members, points, pairs, size, 1.0 - time
+                memory, motions, world.w, island, num_members, points, pairs, num_points, 1.0 - time
             )
-            accumulate_impulses(points, size)
-            if damp_tipping(points, size, motions):
-                solve_constraints(points, size, motions, world.dt, tolerance, COLD_START)
-                accumulate_impulses(points, size)
+            accumulate_impulses(points, num_points)
+            if damp_tipping(points, num_points, motions):
+                solve_constraints(points, num_points, motions, world.dt, tolerance, COLD_START)
+                accumulate_impulses(points, num_points)
         else:
             # A fast drone on its own leaves the contact before it would rock
-            shares_load = slow or members > 1
+            shares_load = slow or num_members > 1
             if shares_load:
-                reopen_impulses(points, size)
+                reopen_impulses(points, num_points)
             solve_constraints(
-                points, size, motions, world.dt, tolerance, RESUME if shares_load else COLD_START
+                points,
+                num_points,
+                motions,
+                world.dt,
+                tolerance,
+                RESUME if shares_load else COLD_START,
             )
-            accumulate_impulses(points, size)
-            limit_energy(space, world, members, points, size, frame, had, 1.0 - time)
-        for m in range(members):
+            accumulate_impulses(points, num_points)
+            limit_energy(space, world, num_members, points, num_points, frame, had, 1.0 - time)
+        for m in range(num_members):
             i = space.island[m]
             motion = motions[i]
             start_segment(motion, world.dt, world.parameters[world.w, i])
             # At a later impact of a pile the saved velocities are not those of its path
             if is_supported and slow and trial == 0 and (is_single or motion.impacts == 1):
                 _use_mean_velocity(motion, time, world.dt)
-        before = size
+        before = num_points
         if trial < MAX_SPECULATIVE_PASSES and (1.0 - time) * world.dt > MIN_SPECULATIVE_TIME:
-            for p in range(count):
+            for p in range(num_pairs):
                 if pairs[p].in_impact and find_speculative_point(
-                    space, world, pairs[p], time, points[size]
+                    space, world, pairs[p], time, points[num_points]
                 ):
-                    points[size].pair = p
-                    size += 1
-        if size == before:
+                    points[num_points].pair = p
+                    num_points += 1
+        if num_points == before:
             break
     # Restore the velocities at the time of the impact: forces are added along the path
-    apply_forces(space, members, time, -1.0)
-    return size
+    apply_forces(space, num_members, time, -1.0)
+    return num_points
 
 
 @func
 def _record_point(
-    touches: ContactLog, space: ContactWorkspace, w: int, point: np.record, other: int
+    touches: ContactLog, space: ContactWorkspace, w: int, point: np.record, b: int
 ) -> None:
-    """Record a contact point on each drone of the pair."""
+    """Record a contact point on each drone of the pair.
+
+    Args:
+        touches: Contact log, added to.
+        space: Arrays to work on.
+        w: Index of the world.
+        point: Row of `CONTACT_POINT`.
+        b: Index of the other shape of the pair, also if it is a static body.
+    """
     place = plus(read_vec3(space.motions[point.a].position), 1.0, read_vec3(point.arm_a))
     normal, velocity = read_vec3(point.normal), read_vec3(point.relative_velocity)
     record_contact(
-        touches, w, point.a, other, point.total_impulse[0], place, normal, velocity, 0.0, 1.0
+        touches, w, point.a, b, point.total_impulse[0], place, normal, velocity, 0.0, 1.0
     )
     # Also for a sleeping drone that supports a
-    if other < space.motions.shape[0]:
+    if b < space.motions.shape[0]:
         record_contact(
-            touches, w, other, point.a, point.total_impulse[0], place, normal, velocity, 0.0, -1.0
+            touches, w, b, point.a, point.total_impulse[0], place, normal, velocity, 0.0, -1.0
         )
 
 
@@ -285,64 +340,86 @@ def resolve_impact(
     space: ContactWorkspace,
     world: ContactWorld,
     pairs: np.ndarray,
-    count: int,
+    num_pairs: int,
     first: int,
     time: float,
     touches: ContactLog,
 ) -> int:
-    """Resolve the impact of all drones that are connected to a pair by contacts.
+    """Resolve the impact of all drones that are connected to a pair by contacts (an island).
 
-    Returns the number of drones of the island. Their indices are in `space.island`, and they start
-    a path segment with new velocities.
+    These drones start a path segment with new velocities.
+
+    Args:
+        space: Arrays to work on; `island` and the motions of the island are written.
+        world: The world.
+        pairs: Rows of `PAIR`; changed.
+        num_pairs: Number of pairs in use.
+        first: Index of the pair whose impact it is.
+        time: Time of the impact, as a fraction of the substep.
+        touches: Contact log, added to.
+
+    Returns:
+        Number of drones of the island; their indices are in `space.island`.
     """
     motions = space.motions
-    members = build_island(space, world, pairs, count, first, time)
+    num_members = build_island(space, world, pairs, num_pairs, first, time)
     # A drone at the impact limit does not move by itself until the next substep
     is_clamped = False
-    for m in range(members):
+    for m in range(num_members):
         motion = motions[space.island[m]]
         motion.impacts += 1
         if is_at_impact_limit(motion):
             remove_forces(motion, time)
             is_clamped = True
-    way = (0.0, 0.0, 0.0)
+    carried_displacement = (0.0, 0.0, 0.0)
     if is_clamped:
-        way = compute_carried_displacement(space, world, pairs, count, members, time)
+        carried_displacement = compute_carried_displacement(
+            space, world, pairs, num_pairs, num_members, time
+        )
     # Build the contact manifolds of all touching pairs of the island
     most = 0
-    for p in range(count):
+    for p in range(num_pairs):
         pairs[p].in_impact = is_pair_in_island(motions, pairs[p]) and may_touch(pairs[p], time)
         if pairs[p].in_impact:
             most += MAX_POINTS + MAX_SPECULATIVE_PASSES
     points = np.empty(most, dtype=CONTACT_POINT)
-    size = 0
-    for p in range(count):
-        more = size
+    num_points = 0
+    for p in range(num_pairs):
+        more = num_points
         if pairs[p].in_impact:
-            more = add_contact_points(space, world, pairs[p], time, points, size)
-        for k in range(size, more):
+            more = add_contact_points(space, world, pairs[p], time, points, num_points)
+        for k in range(num_points, more):
             points[k].pair = p
-        pairs[p].in_impact = more > size
-        size = more
-    slow = _apply_restitution(space, world, members, points, size)
-    size = _solve_resting_contacts(space, world, pairs, count, members, points, size, time, slow)
-    for k in range(size):
+        pairs[p].in_impact = more > num_points
+        num_points = more
+    slow = _apply_restitution(space, world, num_members, points, num_points)
+    num_points = _solve_resting_contacts(
+        space, world, pairs, num_pairs, num_members, points, num_points, time, slow
+    )
+    for k in range(num_points):
         # Skip points that part without an impulse
         if points[k].total_impulse[0] <= 0.0 and points[k].normal_velocity >= -MIN_APPROACH_SPEED:
             continue
-        other = pairs[points[k].pair].b
-        _record_point(touches, space, world.w, points[k], other)
-        if other < motions.shape[0] and motions[other].is_static:
-            _add_load(motions[other], points[k])
-    clamp_spent_drones(space, members, time, way)
-    return members
+        b = pairs[points[k].pair].b
+        _record_point(touches, space, world.w, points[k], b)
+        if b < motions.shape[0] and motions[b].is_static:
+            _add_load(motions[b], points[k])
+    clamp_drones_at_limit(space, num_members, time, carried_displacement)
+    return num_members
 
 
 @kernel
 def record_overlap(
     space: ContactWorkspace, world: ContactWorld, pair: np.record, touches: ContactLog
 ) -> None:
-    """Record a pair that is in contact at the beginning of a substep, without an impulse."""
+    """Record a pair that is in contact at the beginning of a substep, without an impulse.
+
+    Args:
+        space: Arrays to work on; the motions of the pair must be started.
+        world: The world.
+        pair: Row of `PAIR`; its normal is written.
+        touches: Contact log, added to.
+    """
     distance, normal, on_a, _ = measure_pair(space, world, pair, 0.0)
     if distance > CONTACT_DISTANCE:
         return

@@ -20,21 +20,31 @@ WAKE_APPROACH_SPEED = 0.05
 
 @func
 def add_to_island(
-    space: ContactWorkspace, world: ContactWorld, members: int, i: int, time: float
+    space: ContactWorkspace, world: ContactWorld, num_members: int, i: int, time: float
 ) -> int:
     """Advance a drone to the time of an impact and add it to the island.
 
-    Shapes that are no drones, and drones of the island, are skipped. Returns the number of members.
+    Shapes that are no drones, and drones of the island, are skipped.
+
+    Args:
+        space: Arrays to work on; `island` and the motion of the drone are written.
+        world: The world.
+        num_members: Number of drones of the island so far.
+        i: Index of the shape.
+        time: Time of the impact, as a fraction of the substep.
+
+    Returns:
+        Number of drones of the island.
     """
     if i >= world.scenery.first_body or space.motions[i].in_island:
-        return members
+        return num_members
     motion = space.motions[i]
     row = world.parameters[world.w, i]
     motion.in_island = True
-    space.island[members] = i
+    space.island[num_members] = i
     advance_motion(motion, time, row)
     set_inverse_mass(motion, row)
-    return members + 1
+    return num_members + 1
 
 
 @func
@@ -86,28 +96,29 @@ def _add_drone_on_sleeper(
     space: ContactWorkspace,
     world: ContactWorld,
     pairs: np.ndarray,
-    count: int,
+    num_pairs: int,
     pair: np.record,
-    members: int,
+    num_members: int,
     time: float,
 ) -> int:
     """Add a drone that touches a sleeping drone to the island.
 
-    If the sleeping drone is hit, all sleeping drones become dynamic. Returns the number of members.
+    If the sleeping drone is hit, all sleeping drones become dynamic. Returns the number of drones
+    of the island.
     """
     motions = space.motions
     if motions[pair.a].is_static:
         _swap_bodies(pair)
-    members = add_to_island(space, world, members, pair.a, time)
+    num_members = add_to_island(space, world, num_members, pair.a, time)
     distance, normal, on_a, _ = measure_pair(space, world, pair, time)
     pair.is_on_sleeper = True
     if distance <= MAX_CONTACT_DISTANCE and _is_hit(motions, pair, normal, on_a):
         for i in range(motions.shape[0]):
             motions[i].is_static = False
-        for p in range(count):
+        for p in range(num_pairs):
             pairs[p].is_on_sleeper = False
-        members = add_to_island(space, world, members, pair.b, time)
-    return members
+        num_members = add_to_island(space, world, num_members, pair.b, time)
+    return num_members
 
 
 @func
@@ -115,38 +126,49 @@ def build_island(
     space: ContactWorkspace,
     world: ContactWorld,
     pairs: np.ndarray,
-    count: int,
+    num_pairs: int,
     first: int,
     time: float,
 ) -> int:
     """Find all drones that are connected to a pair by contacts at the time of its impact.
 
-    Returns their number; their indices are in `space.island`.
+    Args:
+        space: Arrays to work on; `island` and the motions of its drones are written.
+        world: The world.
+        pairs: Rows of `PAIR`; bodies may be swapped.
+        num_pairs: Number of pairs in use.
+        first: Index of the pair whose impact it is.
+        time: Time of the impact, as a fraction of the substep.
+
+    Returns:
+        Number of drones of the island; their indices are in `space.island`.
     """
     motions = space.motions
-    for p in range(count):
+    for p in range(num_pairs):
         pairs[p].is_on_sleeper = False
     if _is_one_static(motions, pairs[first]):
-        members = _add_drone_on_sleeper(space, world, pairs, count, pairs[first], 0, time)
+        num_members = _add_drone_on_sleeper(space, world, pairs, num_pairs, pairs[first], 0, time)
     else:
-        members = add_to_island(space, world, 0, pairs[first].a, time)
-        members = add_to_island(space, world, members, pairs[first].b, time)
+        num_members = add_to_island(space, world, 0, pairs[first].a, time)
+        num_members = add_to_island(space, world, num_members, pairs[first].b, time)
     grown = True
     while grown:
         grown = False
-        for p in range(count):
+        for p in range(num_pairs):
             pair = pairs[p]
             if pair.b >= world.scenery.first_body or not may_touch(pair, time):
                 continue
             if pair.is_on_sleeper or motions[pair.a].in_island == motions[pair.b].in_island:
                 continue
             if _is_one_static(motions, pair):
-                members = _add_drone_on_sleeper(space, world, pairs, count, pair, members, time)
+                num_members = _add_drone_on_sleeper(
+                    space, world, pairs, num_pairs, pair, num_members, time
+                )
                 grown = grown or not pair.is_on_sleeper
                 continue
             distance, _, _, _ = measure_pair(space, world, pair, time)
             if distance <= MAX_CONTACT_DISTANCE:
-                members = add_to_island(space, world, members, pair.a, time)
-                members = add_to_island(space, world, members, pair.b, time)
+                num_members = add_to_island(space, world, num_members, pair.a, time)
+                num_members = add_to_island(space, world, num_members, pair.b, time)
                 grown = True
-    return members
+    return num_members

@@ -69,7 +69,7 @@ class ContactWorkspace(NamedTuple):
         island: (N,) indices of the drones of the present island.
         order: (N,) indices of the drones, sorted by position.
         pairs: Rows of `PAIR`, allocated for a typical number of pairs.
-        scratch: Work array of `gap`.
+        scratch: Work array of `gjk_distance`, see `make_scratch`.
         found: Work array of `contact_points`.
     """
 
@@ -99,7 +99,7 @@ class ContactWorld(NamedTuple):
     Attributes:
         w: Index of the world.
         dt: Length of the substep, s.
-        speed: Displacement of the fastest obstacle in the substep, m.
+        obstacle_displacement: Displacement of the fastest obstacle in the substep, m.
         friction: Coefficient of friction of the ground and of buildings.
         restitution: Coefficient of restitution of the ground and of buildings.
         stops: True if drones stop at a contact instead of receiving an impulse.
@@ -113,7 +113,7 @@ class ContactWorld(NamedTuple):
 
     w: int
     dt: float
-    speed: float
+    obstacle_displacement: float
     friction: float
     restitution: float
     stops: bool
@@ -129,7 +129,12 @@ class ContactWorld(NamedTuple):
 def measure_pair(
     space: ContactWorkspace, world: ContactWorld, pair: np.record, time: float
 ) -> tuple[float, Vec3, Vec3, Vec3]:
-    """Measure the distance of a pair at a time, and store the direction as its normal."""
+    """Measure the distance of a pair at a time, and store the direction as its normal.
+
+    Returns:
+        The same as `measure_distance`. If drones stop at a contact, the normal and the points of a
+        pair that is apart are refined.
+    """
     guess = read_vec3(pair.normal)
     distance, normal, on_a, on_b = measure_distance(
         world.scenery,
@@ -191,9 +196,9 @@ def _has_rolling_resistance(kind: int) -> bool:
 
 @func
 def compute_pair_surface(
-    space: ContactWorkspace, world: ContactWorld, a: int, b: int, count: int
+    space: ContactWorkspace, world: ContactWorld, a: int, b: int, num_points: int
 ) -> PairSurface:
-    """Compute the surface properties that the `count` points of a pair have in common.
+    """Compute the surface properties that the `num_points` points of a pair have in common.
 
     On a face, friction alone resists rotation: rolling and torsional resistance apply to fewer
     points.
@@ -222,7 +227,7 @@ def compute_pair_surface(
     friction_b, restitution_b = get_surface_coefficients(world, b)
     radius = table.radius[a]
     pivoting = TORSIONAL_RESISTANCE * radius
-    if count > MAX_LINE_POINTS:
+    if num_points > MAX_LINE_POINTS:
         resist_a = resist_b = pivoting = 0.0
     return (
         a,
@@ -280,7 +285,7 @@ def add_contact_points(
     pair: np.record,
     time: float,
     points: np.ndarray,
-    size: int,
+    num_points: int,
 ) -> int:
     """Add the contact points of a pair if it is in contact.
 
@@ -288,19 +293,19 @@ def add_contact_points(
         space: Arrays to work on.
         world: The world.
         pair: Row of `PAIR`; its target distance is set.
-        time: Fraction of the substep.
+        time: Time of the impact, as a fraction of the substep.
         points: Rows of `CONTACT_POINT`, added to.
-        size: Number of points so far.
+        num_points: Number of points so far.
 
     Returns:
-        Number of points.
+        Number of points in use.
     """
     a = pair.a
     b = pair.b
     scenery = world.scenery
     distance, normal, on_a, on_b = measure_pair(space, world, pair, time)
     if distance > MAX_CONTACT_DISTANCE:
-        return size
+        return num_points
     # The next impact of the pair is when it gets closer than it is now
     pair.has_touched = True
     pair.target_distance = (
@@ -328,7 +333,7 @@ def add_contact_points(
     surface = compute_pair_surface(space, world, a, b, found)
     motions = space.motions
     for m in range(found):
-        point = points[size + m]
+        point = points[num_points + m]
         for k in range(3):
             point.normal[k] = normal[k]
             point.arm_a[k] = space.found[m, k]
@@ -338,4 +343,4 @@ def add_contact_points(
         moving = compute_relative_velocity(point, motions)
         write_vec3(point.relative_velocity, moving)
         point.normal_velocity = dot(moving, normal)
-    return size + found
+    return num_points + found

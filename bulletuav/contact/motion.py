@@ -62,7 +62,7 @@ MOTION = record_type(
         ("is_static", "?"),
         ("load", "f8", (2, 3)),
         ("start_position", "f8", 3),
-        ("reach", "f8"),
+        ("range", "f8"),
         ("inverse_mass", "f8"),
         ("inverse_inertia", "f8", (3, 3)),
         ("saved_velocities", "f8", (2, 3)),
@@ -87,17 +87,18 @@ Attributes:
     momentum_change: Change of angular momentum by torques over the substep, world axes, N m s.
     impacts: Number of impacts of the drone in this substep.
     is_started: Whether the fields above are set.
-    is_due: Whether the drone is checked, because its budget is or soon will be used up, or it is
-        touched.
+    is_due: Whether the drone has to be checked, because its budget is or soon will be used up, or
+        because it is touched.
     in_island: Whether the drone belongs to the present island.
     is_static: Whether the drone sleeps, and supports others like the ground does.
     load: Impulse (N s) and angular impulse (N m s) that the drones on it exert on it.
     start_position: Position at the beginning of the substep, m.
-    reach: Distance from there within which its pairs were collected, m.
+    range: Distance from there within which its pairs were collected, m.
     inverse_mass: 1 / kg.
     inverse_inertia: In world axes, 1 / (kg m^2).
-    saved_velocities: Velocity and spin before passes of the solver that may gain energy.
-    unlimited_velocities: Velocity and spin after them, before energy is limited.
+    saved_velocities: Velocity and angular velocity before passes of the solver that may gain
+        energy.
+    unlimited_velocities: Velocity and angular velocity after them, before energy is limited.
     free_position: Position at the end of the substep if the drone touches nothing, m.
     free_quaternion: Attitude at the end of the substep if the drone touches nothing.
     free_rotation_offset: Rotation from the attitude that `start_segment` alone would reach to
@@ -180,17 +181,17 @@ def start_motion(
 @func
 def _compute_path_fraction(motion: np.record, time: float) -> float:
     """Return the fraction of the path segment that a drone has covered at a time."""
-    rest = motion.end_time - motion.time
-    return (time - motion.time) / rest if rest > 0.0 else 0.0
+    remaining = motion.end_time - motion.time
+    return (time - motion.time) / remaining if remaining > 0.0 else 0.0
 
 
 @func
 def advance_motion(motion: np.record, time: float, row: np.record) -> None:
     """Advance a drone along its path segment to a time within the substep."""
-    share = _compute_path_fraction(motion, time)
+    fraction = _compute_path_fraction(motion, time)
     elapsed = time - motion.time
     here = read_quaternion(motion)
-    there = normalise_quaternion(rotate_by_fraction(read_vec3(motion.rotation), share, here))
+    there = normalise_quaternion(rotate_by_fraction(read_vec3(motion.rotation), fraction, here))
     spin = read_vec3(motion.spin)
     angular = compute_angular_momentum(here, spin, row)
     held = compute_angular_velocity(there, angular, row)
@@ -202,7 +203,7 @@ def advance_motion(motion: np.record, time: float, row: np.record) -> None:
         held = (scale * held[0], scale * held[1], scale * held[2])
     twisted = compute_angular_velocity(there, read_vec3(motion.momentum_change), row)
     write_vec3(
-        motion.position, plus(read_vec3(motion.position), share, read_vec3(motion.displacement))
+        motion.position, plus(read_vec3(motion.position), fraction, read_vec3(motion.displacement))
     )
     _write_quaternion(motion.quaternion, there)
     write_vec3(
@@ -211,8 +212,8 @@ def advance_motion(motion: np.record, time: float, row: np.record) -> None:
     )
     write_vec3(motion.spin, plus(held, elapsed, twisted))
     for k in range(3):
-        motion.displacement[k] *= 1.0 - share
-        motion.rotation[k] *= 1.0 - share
+        motion.displacement[k] *= 1.0 - fraction
+        motion.rotation[k] *= 1.0 - fraction
     motion.time = time
 
 
@@ -234,25 +235,29 @@ def start_segment(motion: np.record, dt: float, row: np.record) -> None:
         )
     part = motion.end_time - motion.time
     there, turn = integrate_free_rotation(here, spin, part * dt, row)
-    way = plus((0.0, 0.0, 0.0), part * dt, read_vec3(motion.velocity))
+    displacement = plus((0.0, 0.0, 0.0), part * dt, read_vec3(motion.velocity))
     if motion.impacts == 0:
         there = rotate_by_fraction(read_vec3(motion.free_rotation_offset), part, there)
         if motion.end_time == 1.0:
             q = motion.free_quaternion
             there = (q[0], q[1], q[2], q[3])
         turn = compute_rotation_between(here, there)
-        share = part / left if left > 0.0 else 0.0
-        way = minus(read_vec3(motion.free_position), read_vec3(motion.position))
-        way = (share * way[0], share * way[1], share * way[2])
+        fraction = part / left if left > 0.0 else 0.0
+        displacement = minus(read_vec3(motion.free_position), read_vec3(motion.position))
+        displacement = (
+            fraction * displacement[0],
+            fraction * displacement[1],
+            fraction * displacement[2],
+        )
     write_vec3(motion.rotation, turn)
-    write_vec3(motion.displacement, way)
+    write_vec3(motion.displacement, displacement)
 
 
 @func
 def is_at_impact_limit(motion: np.record) -> bool:
     """Check whether a drone had `MAX_IMPACTS` impacts, so that it no longer moves by itself."""
-    spent: bool = motion.impacts >= MAX_IMPACTS
-    return spent
+    reached: bool = motion.impacts >= MAX_IMPACTS
+    return reached
 
 
 @func
@@ -286,10 +291,10 @@ def interpolate_pose(
     level = (0.0, 0.0, 0.0, 1.0)
     if shape < scenery.first_body:
         motion = motions[shape]
-        share = _compute_path_fraction(motion, time)
-        position = plus(read_vec3(motion.position), share, read_vec3(motion.displacement))
+        fraction = _compute_path_fraction(motion, time)
+        position = plus(read_vec3(motion.position), fraction, read_vec3(motion.displacement))
         return position, rotate_by_fraction(
-            read_vec3(motion.rotation), share, read_quaternion(motion)
+            read_vec3(motion.rotation), fraction, read_quaternion(motion)
         )
     if shape < scenery.first_piece:
         k = shape - scenery.first_body
@@ -315,8 +320,8 @@ def compute_path_rates(
     still = (0.0, 0.0, 0.0)
     if shape < scenery.first_body:
         motion = motions[shape]
-        rest = motion.end_time - motion.time
-        scale = 1.0 / rest if rest > 0.0 else 0.0
+        remaining = motion.end_time - motion.time
+        scale = 1.0 / remaining if remaining > 0.0 else 0.0
         return plus(still, scale, read_vec3(motion.displacement)), plus(
             still, scale, read_vec3(motion.rotation)
         )

@@ -38,7 +38,10 @@ SHARE_SPEED_OFFSET = 0.2
 @deferred(types.float64)
 @kernel
 def _bound_rotation_sweep(contact: ContactState, swarm: Swarm, w: int, i: int) -> float:
-    """Return an upper bound of the distance that any point of a drone moves by rotation, m."""
+    """Return an upper bound of the distance that any point of a drone moves by rotation, m.
+
+    The rotation is that of one substep, from `contact.start` to `swarm`.
+    """
     before, after = quat4(contact.start.quaternion, w, i), quat4(swarm.quaternion, w, i)
     return float(contact.scenery.table.radius[i]) * bound_angle(before, after)
 
@@ -49,30 +52,33 @@ def update_budgets(
 ) -> bool:
     """Subtract the motion of a substep from the budgets, and check whether any is used up.
 
+    The motion of the fastest obstacle is subtracted, too.
+
     Args:
-        contact: State of all contacts; `budget` and `changed` are written.
+        contact: State of all contacts; `budget` is changed, and `changed` is cleared.
         swarm: State at the end of the substep.
         alive: (W, N) bool, drones that can be touched.
         w: Index of the world.
         dt: Length of the substep, s.
 
     Returns:
-        True if the world needs contact detection in this substep.
+        True if the world needs contact detection in this substep: a budget is used up, or an
+        obstacle moves and may reach a sleeping drone.
     """
     found = False
     before = contact.start.position
-    way = contact.speed[w] * dt
+    obstacle_displacement = contact.speed[w] * dt
     for i in range(alive.shape[1]):
         contact.changed[w, i] = False
         if not alive[w, i]:
             continue
         if contact.asleep[w, i]:
             # A moving obstacle may reach a sleeping drone
-            found = found or way > 0.0
+            found = found or obstacle_displacement > 0.0
             continue
         moved = minus(vec3(swarm.position, w, i), vec3(before, w, i))
-        contact.budget[w, i] -= math.sqrt(dot(moved, moved)) + way
-        if contact.turns[w, i]:
+        contact.budget[w, i] -= math.sqrt(dot(moved, moved)) + obstacle_displacement
+        if contact.uses_rotation[w, i]:
             contact.budget[w, i] -= _bound_rotation_sweep(contact, swarm, w, i)
         found = found or contact.budget[w, i] < 0.0
     return found
@@ -97,13 +103,16 @@ def _compute_lowest_height(scenery: Scenery, swarm: Swarm, w: int, i: int) -> fl
 
 
 @kernel
-def compute_budget(scenery: Scenery, swarm: Swarm, turns: np.ndarray, w: int, i: int) -> float:
+def compute_budget(
+    scenery: Scenery, swarm: Swarm, uses_rotation: np.ndarray, w: int, i: int
+) -> float:
     """Compute how far drone i of world w may move until it can touch anything but drones, m.
 
     Args:
         scenery: Shapes of the worlds.
         swarm: State of all drones.
-        turns: (W, N) bool; the entry of drone i is set to whether rotation uses up its budget.
+        uses_rotation: (W, N) bool; the entry of drone i is set to whether rotation uses up its
+            budget.
         w: Index of the world.
         i: Index of the drone.
     """
@@ -111,8 +120,8 @@ def compute_budget(scenery: Scenery, swarm: Swarm, turns: np.ndarray, w: int, i:
     own = scenery.table.radius[i] + CONTACT_DISTANCE + BUDGET_MARGIN
     least = min(MAX_BUDGET, here[2] - own)
     # Close to the ground the bounding sphere overlaps it: use the lowest point instead
-    turns[w, i] = least < 0.0
-    if turns[w, i]:
+    uses_rotation[w, i] = least < 0.0
+    if uses_rotation[w, i]:
         least = _compute_lowest_height(scenery, swarm, w, i) - CONTACT_DISTANCE - BUDGET_MARGIN
     for k in range(scenery.place.shape[1]):
         least = min(least, bound_body_distance(scenery, w, k, here) - own)
@@ -135,16 +144,25 @@ def compute_budget(scenery: Scenery, swarm: Swarm, turns: np.ndarray, w: int, i:
 
 @func
 def are_bounds_clear(
-    space: ContactWorkspace, world: ContactWorld, end: Swarm, budget: np.ndarray, turns: np.ndarray
+    space: ContactWorkspace,
+    world: ContactWorld,
+    end: Swarm,
+    budget: np.ndarray,
+    uses_rotation: np.ndarray,
 ) -> bool:
-    """Check whether the bounding spheres of all due drones stay clear in a substep.
+    """Check whether no drone to be checked can touch anything in a substep.
+
+    This is so if their bounding spheres stay away from the ground, obstacles, buildings and the
+    bounding spheres of other drones.
 
     Args:
-        space: Arrays to work on; `is_due` and `reach` of its motions are read.
+        space: Arrays to work on; of its motions, `is_due` (the drone has to be checked) and `range`
+            (the distance that it may move, m) are read.
         world: The world, with the state at the beginning of the substep.
         end: State at the end of the substep.
-        budget: (W, N) m; set to `compute_budget` for due drones, up to the first that is not clear.
-        turns: (W, N) bool; set together with the budget, see `compute_budget`.
+        budget: (W, N) m; set to `compute_budget` for the checked drones, up to the first that may
+            touch something.
+        uses_rotation: (W, N) bool; set together with the budget, see `compute_budget`.
     """
     w = world.w
     scenery = world.scenery
@@ -156,8 +174,8 @@ def are_bounds_clear(
             continue
         if end.position[w, i, 2] < radius[i] + CONTACT_DISTANCE + BUDGET_MARGIN:
             return False
-        budget[w, i] = compute_budget(scenery, end, turns, w, i)
-        if budget[w, i] < motion.reach + world.speed:
+        budget[w, i] = compute_budget(scenery, end, uses_rotation, w, i)
+        if budget[w, i] < motion.range + world.obstacle_displacement:
             return False
         for j in range(drones):
             if j == i or not world.alive[w, j]:
@@ -181,13 +199,15 @@ def share_budgets(
 ) -> None:
     """Divide the distances between drone i of world w and the other drones among their budgets.
 
-    The faster drone of a pair gets the larger fraction.
+    The faster drone of a pair gets the larger fraction. Drone i also takes what the other drone
+    does not need.
 
     Args:
         scenery: Shapes of the worlds.
         swarm: State of all drones.
         alive: (W, N) bool, drones that can be touched.
-        budget: (W, N) m; in: budget of drone i without other drones; out: budgets of all drones.
+        budget: (W, N) m; all budgets are read, that of drone i being the one without other drones;
+            all may be reduced.
         order: (N,) drones of the world sorted by position; earlier drones take their part first.
         w: Index of the world.
         i: Index of the drone.
@@ -205,7 +225,7 @@ def share_budgets(
             other = max(0.0, budget[w, j])
             if least + other > left:
                 fraction = speed / (speed + _compute_share_speed(swarm, w, j))
-                # Take all that the other drone does not need, if that is more
+                # Use all that the other drone does not need, if that is more
                 least = min(least, max(fraction * left, left - other))
                 budget[w, j] = min(budget[w, j], left - least)
     budget[w, i] = least

@@ -96,7 +96,7 @@ def measure_support(
 
 
 @func
-def _compute_inner_radius(points: np.ndarray, count: int, normal: Vec3) -> float:
+def _compute_inner_radius(points: np.ndarray, num_points: int, normal: Vec3) -> float:
     """Return the smallest extent of points (M, 3) from the origin over tangential directions, m."""
     first = cross(normal, (1.0, 0.0, 0.0) if abs(normal[0]) < 0.8 else (0.0, 1.0, 0.0))
     scale = 1.0 / math.sqrt(dot(first, first))
@@ -108,7 +108,7 @@ def _compute_inner_radius(points: np.ndarray, count: int, normal: Vec3) -> float
         east = cos(angle)
         north = sin(angle)
         most = -np.inf
-        for m in range(count):
+        for m in range(num_points):
             place = point(points, m)
             most = max(most, east * dot(place, first) + north * dot(place, second))
         least = min(least, most)

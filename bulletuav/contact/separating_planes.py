@@ -137,11 +137,11 @@ def bound_rotating_plane(
     against = minus(turn_a, turn_b)
     shift = minus(move, cross(turn_b, between))
     bound = max(0.0, -dot(shift, normal)) + radius * _length(cross(against, normal))
-    spin, way = _length(turn_b), _length(move)
+    spin, move_length = _length(turn_b), _length(move)
     sweep_speed = radius * _length(against)
     # Include the growth of u and of the distance within the substep
-    growth = sweep_speed * (_length(turn_a) + spin) + spin * spin * (_length(between) + way)
-    growth += 2.0 * spin * (_length(shift) + spin * way + sweep_speed)
+    growth = sweep_speed * (_length(turn_a) + spin) + spin * spin * (_length(between) + move_length)
+    growth += 2.0 * spin * (_length(shift) + spin * move_length + sweep_speed)
     return bound, growth, 0.125 * growth, turn_b
 
 
@@ -153,7 +153,7 @@ def bound_planes(
     turn_a: Vec3,
     turn_b: Vec3,
     between: Vec3,
-    count: int,
+    num_planes: int,
 ) -> SeparatingPlanes:
     """Bound the motion of a pair relative to planes that rotate with b, with a, and a fixed one.
 
@@ -164,10 +164,10 @@ def bound_planes(
         turn_a: Rotation of a, rad per substep.
         turn_b: Rotation of b, rad per substep.
         between: Vector from the position of b to that of a, m.
-        count: Number of planes to compute, from the last: 1 (the fixed plane) or 3.
+        num_planes: Number of planes to compute, from the last: 1 (the fixed plane) or 3.
     """
     still = bound_fixed_plane(radii, normal, move, turn_a, turn_b)
-    if count == 1:
+    if num_planes == 1:
         return still, still, still
     with_b = bound_rotating_plane(radii[0], normal, move, turn_a, turn_b, between)
     back = minus(ORIGIN, normal), minus(ORIGIN, move), minus(ORIGIN, between)
@@ -176,16 +176,16 @@ def bound_planes(
 
 
 @func
-def find_longest_plane(planes: SeparatingPlanes, left: float) -> tuple[SeparatingPlane, float]:
-    """Find the plane that keeps a pair `left` metres apart separated longest.
+def find_longest_plane(planes: SeparatingPlanes, distance: float) -> tuple[SeparatingPlane, float]:
+    """Find the plane that separates a pair longest that is at a distance, m, from contact.
 
     Returns:
         The plane, and the fraction of the substep that `compute_safe_time` returns for it.
     """
     plane = planes[2]
-    time = compute_safe_time(plane, left)
+    time = compute_safe_time(plane, distance)
     for k in range(2):
-        other = compute_safe_time(planes[k], left)
+        other = compute_safe_time(planes[k], distance)
         if other > time:
             plane = planes[k]
             time = other
@@ -193,19 +193,19 @@ def find_longest_plane(planes: SeparatingPlanes, left: float) -> tuple[Separatin
 
 
 @func
-def compute_safe_time(plane: SeparatingPlane, left: float) -> float:
-    """Compute the fraction of a substep within which a distance of `left` metres cannot close."""
+def compute_safe_time(plane: SeparatingPlane, distance: float) -> float:
+    """Compute the fraction of a substep within which a distance, m, cannot close."""
     bound, growth, _, _ = plane
-    return 2.0 * left / (bound + math.sqrt(bound * bound + 2.0 * growth * left))
+    return 2.0 * distance / (bound + math.sqrt(bound * bound + 2.0 * growth * distance))
 
 
 @func
-def rotate_normal(plane: SeparatingPlane, normal: Vec3, share: float) -> Vec3:
+def rotate_normal(plane: SeparatingPlane, normal: Vec3, fraction: float) -> Vec3:
     """Return the normal of a plane after a fraction of the substep."""
     turn = plane[3]
     if turn == (0.0, 0.0, 0.0):
         return normal
-    return to_world(rotate_by_fraction(turn, share, (0.0, 0.0, 0.0, 1.0)), normal)
+    return to_world(rotate_by_fraction(turn, fraction, (0.0, 0.0, 0.0, 1.0)), normal)
 
 
 @func
@@ -218,12 +218,12 @@ def find_time_apart(
     time: float,
     dt: float,
     planes: SeparatingPlanes,
-    count: int,
+    num_planes: int,
     normal: Vec3,
     distance: float,
     min_distance: float,
     step: float,
-    rest: float,
+    remaining: float,
 ) -> float:
     """Find how long a separating plane keeps a pair apart, up to the end of the substep.
 
@@ -236,25 +236,25 @@ def find_time_apart(
         time: Fraction of the substep at which the search starts.
         dt: Length of the substep, s.
         planes: Bounds of the motion, see `bound_planes`.
-        count: Number of planes that count, from the last.
+        num_planes: Number of planes in use, from the last.
         normal: Normal of the planes at `time`, unit vector from b to a.
         distance: Distance of the pair at `time`, m; more than `min_distance`.
         min_distance: Distance that the pair must keep, m.
         step: Fraction of the substep for which the pair is already known to keep it.
-        rest: Fraction of the substep that is left.
+        remaining: Remaining fraction of the substep.
 
     Returns:
         Fraction of the substep, at least `step`.
     """
     left = distance - min_distance
-    for k in range(3 - count, 3):
+    for k in range(3 - num_planes, 3):
         plane = planes[k]
         deviation = plane[2]
         # Without curved paths `step` is exact
         if deviation == 0.0:
             continue
-        reach = math.sqrt(0.5 * left / deviation)
-        span = rest
+        max_span = math.sqrt(0.5 * left / deviation)
+        span = remaining
         while span > step:
             ahead = rotate_normal(plane, normal, span)
             later, _, _ = measure_along_direction(scenery, motions, w, a, b, time + span, dt, ahead)
@@ -266,7 +266,7 @@ def find_time_apart(
                 break
             # A pair that is too close there gets so along a parabola, or earlier
             part = 0.5 if later >= min_distance else 0.9 * math.sqrt(left / (distance - later))
-            span = min(reach, part * span)
+            span = min(max_span, part * span)
     return step
 
 
@@ -278,11 +278,11 @@ def compute_centre_direction(motions: np.ndarray, a: int, b: int) -> Vec3:
     """
     if b >= motions.shape[0]:
         return 0.0, 0.0, 0.0
-    way = minus(read_vec3(motions[a].position), read_vec3(motions[b].position))
-    length = _length(way)
+    between = minus(read_vec3(motions[a].position), read_vec3(motions[b].position))
+    length = _length(between)
     if length == 0.0:
         return 0.0, 0.0, 0.0
-    return way[0] / length, way[1] / length, way[2] / length
+    return between[0] / length, between[1] / length, between[2] / length
 
 
 @func

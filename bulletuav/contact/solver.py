@@ -242,10 +242,10 @@ def _update_row(row: np.record, motions: np.ndarray, coupled: bool) -> None:
 
 @func
 def _step_along_search_direction(
-    points: np.ndarray, count: int, motions: np.ndarray, fraction: float, restart: bool
+    points: np.ndarray, num_points: int, motions: np.ndarray, fraction: float, restart: bool
 ) -> None:
     """Add a fraction of the search direction to all impulses, or reset it if `restart`."""
-    for k in range(count):
+    for k in range(num_points):
         row = points[k]
         if restart:
             write_vec3(row.search_direction, (0.0, 0.0, 0.0))
@@ -264,17 +264,21 @@ def _step_along_search_direction(
 
 @kernel
 def solve_constraints(
-    points: np.ndarray, count: int, motions: np.ndarray, dt: float, tolerance: float, start: int
+    points: np.ndarray,
+    num_points: int,
+    motions: np.ndarray,
+    dt: float,
+    tolerance: float,
+    start: int,
 ) -> int:
     """Solve the contact constraints of an island by projected Gauss-Seidel.
 
     Args:
         points: Rows of `CONTACT_POINT`; impulses are written.
-        count: Number of points that count.
-        motions: (N,) rows of `MOTION`; velocities and spins are changed.
+        num_points: Number of points in use.
+        motions: (N,) rows of `MOTION`; velocities and angular velocities are changed.
         dt: Length of the substep, s.
-        tolerance: Tolerance: the solver stops when no velocity changes by more than this fraction
-            of the
+        tolerance: The solver stops when no velocity changes by more than this fraction of the
             largest relative velocity (or of 1 m/s).
         start: `COLD_START` to start from zero impulses, `WARM_START` to apply the impulses in
             `points`, or `RESUME` if the impulses in `points` have been applied already.
@@ -283,7 +287,7 @@ def solve_constraints(
         Number of iterations.
     """
     fastest = 1.0
-    for k in range(count):
+    for k in range(num_points):
         row = points[k]
         write_vec3(row.search_direction, (0.0, 0.0, 0.0))
         row.is_sliding = False
@@ -297,11 +301,11 @@ def solve_constraints(
             )
         else:
             write_vec3(row.impulse, (0.0, 0.0, 0.0))
-    for k in range(count):
+    for k in range(num_points):
         slips = compute_relative_velocity(points[k], motions)
         fastest = max(fastest, math.sqrt(dot(slips, slips)))
     work = max(MIN_ROW_UPDATES, int(dt * ROW_UPDATES_PER_SECOND))
-    max_iterations = max(MIN_ITERATIONS, min(MAX_ITERATIONS, work // max(1, count)))
+    max_iterations = max(MIN_ITERATIONS, min(MAX_ITERATIONS, work // max(1, num_points)))
     before = 0.0
     least = math.inf
     coupled = True
@@ -309,7 +313,7 @@ def solve_constraints(
         change = 0.0
         square = 0.0
         further = 0.0
-        for k in range(count):
+        for k in range(num_points):
             row = points[k]
             _update_row(row, motions, coupled)
             step = read_vec3(row.impulse_change)
@@ -329,7 +333,7 @@ def solve_constraints(
             # Reset the search direction after an overshoot
             restart = further < 0.0 or grows
             _step_along_search_direction(
-                points, count, motions, min(square / before, MAX_MOMENTUM), restart
+                points, num_points, motions, min(square / before, MAX_MOMENTUM), restart
             )
         before = square
         least = min(least, square)
@@ -337,19 +341,19 @@ def solve_constraints(
 
 
 @kernel
-def damp_tipping(points: np.ndarray, count: int, motions: np.ndarray) -> bool:
+def damp_tipping(points: np.ndarray, num_points: int, motions: np.ndarray) -> bool:
     """Damp the angular velocity of bodies about tangential axes at points that carry an impulse.
 
     Args:
         points: Rows of `CONTACT_POINT`, with the impulses of a pass.
-        count: Number of points that count.
-        motions: (N,) rows of `MOTION`; spins are changed.
+        num_points: Number of points in use.
+        motions: (N,) rows of `MOTION`; angular velocities are changed.
 
     Returns:
-        True if any spin was changed.
+        True if any angular velocity was changed.
     """
     acts = False
-    for k in range(count):
+    for k in range(num_points):
         row = points[k]
         if row.impulse[0] <= 0.0:
             continue

@@ -56,7 +56,7 @@ def find_speculative_point(
         space: Arrays to work on.
         world: The world.
         pair: Row of `PAIR`.
-        time: Fraction of the substep.
+        time: Time of the impact, as a fraction of the substep.
         point: Row of `CONTACT_POINT`; written if there is such a point.
 
     Returns:

@@ -64,12 +64,12 @@ def _evaluate_series(c: tuple[float, ...], x: float) -> float:
 
 
 @func
-def rotate_by_fraction(rotation: Vec3, share: float, quaternion: Quat4) -> Quat4:
+def rotate_by_fraction(rotation: Vec3, fraction: float, quaternion: Quat4) -> Quat4:
     """Rotate an attitude by a fraction of a rotation (axis times angle, world axes).
 
     The norm of the quaternion is preserved up to rounding.
     """
-    part = (share * rotation[0], share * rotation[1], share * rotation[2])
+    part = (fraction * rotation[0], fraction * rotation[1], fraction * rotation[2])
     square = dot(part, part)
     if square > MAX_SERIES_ANGLE * MAX_SERIES_ANGLE:
         return product(exp_map(part), quaternion)
@@ -101,7 +101,7 @@ def compute_angular_velocity(quaternion: Quat4, angular: Vec3, row: np.record) -
 
 @func
 def integrate_free_rotation(
-    here: Quat4, spin: Vec3, rest: float, row: np.record
+    here: Quat4, spin: Vec3, duration: float, row: np.record
 ) -> tuple[Quat4, Vec3]:
     """Integrate a torque-free rotation; returns the attitude, and the rotation as axis times angle.
 
@@ -109,8 +109,8 @@ def integrate_free_rotation(
     """
     angular = compute_angular_momentum(here, spin, row)
     # Subdivide fast rotations, so that their energy is conserved
-    parts = num_spin_steps(spin, rest, MAX_STEP_ANGLE)
-    part = rest / parts
+    parts = num_spin_steps(spin, duration, MAX_STEP_ANGLE)
+    part = duration / parts
     there = here
     for _ in range(parts):
         halfway = rotate_by_fraction(
@@ -118,5 +118,5 @@ def integrate_free_rotation(
         )
         spin = compute_angular_velocity(halfway, angular, row)
         there = rotate_by_fraction(spin, part, there)
-    turn = (rest * spin[0], rest * spin[1], rest * spin[2])
+    turn = (duration * spin[0], duration * spin[1], duration * spin[2])
     return there, turn if parts == 1 else compute_rotation_between(here, there)

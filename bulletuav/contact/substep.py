@@ -2,7 +2,7 @@
 
 A substep is flown without contacts first. Drones that would touch something are then advanced to
 the time of impact; all drones that are connected by contacts at that time (an island) are solved
-together; and they move on for the rest of the substep. Shapes closer than `CONTACT_DISTANCE` are in
+together; and they move on for the remaining substep. Shapes closer than `CONTACT_DISTANCE` are in
 contact, so that they do not overlap.
 """
 
@@ -52,8 +52,8 @@ def _start_drone_motion(space: ContactWorkspace, world: ContactWorld, end: Swarm
 def _is_pair_finished(space: ContactWorkspace, world: ContactWorld, pair: np.record) -> bool:
     """Check whether a pair needs no further time of impact in this substep.
 
-    Drones at the impact limit are clamped, or move with an obstacle, and take along other such
-    drones that they come to. Pairs of such bodies are finished unless one moves relative to the
+    Drones at the impact limit are clamped, or move with an obstacle, and carry other such drones
+    that they touch. Pairs of such bodies are finished unless one moves relative to the
     other. A drone that moves with an obstacle is not tested against other obstacles.
     """
     motions = space.motions
@@ -63,10 +63,10 @@ def _is_pair_finished(space: ContactWorkspace, world: ContactWorld, pair: np.rec
         return False
     if world.stops:
         return True
-    way, _ = compute_path_rates(world.scenery, motions, world.w, pair.a, world.dt)
-    other, _ = compute_path_rates(world.scenery, motions, world.w, pair.b, world.dt)
-    relative = minus(way, other)
-    is_carried = pair.b >= motions.shape[0] and way != (0.0, 0.0, 0.0)
+    move_a, _ = compute_path_rates(world.scenery, motions, world.w, pair.a, world.dt)
+    move_b, _ = compute_path_rates(world.scenery, motions, world.w, pair.b, world.dt)
+    relative = minus(move_a, move_b)
+    is_carried = pair.b >= motions.shape[0] and move_a != (0.0, 0.0, 0.0)
     return is_carried or dot(relative, relative) < CONTACT_DISTANCE * CONTACT_DISTANCE
 
 
@@ -106,11 +106,11 @@ def _update_time_of_impact(
 
 
 @func
-def _find_first_pair(pairs: np.ndarray, count: int) -> int:
+def _find_first_pair(pairs: np.ndarray, num_pairs: int) -> int:
     """Return the pair with the earliest event (the first of several), or -1 if there is none."""
     first = -1
     time = NO_IMPACT
-    for p in range(count):
+    for p in range(num_pairs):
         if pairs[p].impact_time < time:
             first = p
             time = pairs[p].impact_time
@@ -120,28 +120,28 @@ def _find_first_pair(pairs: np.ndarray, count: int) -> int:
 @func
 def _compute_distance(one: np.ndarray, two: np.ndarray, w: int, i: int) -> float:
     """Return the distance of drone i in one array (W, N, 3) from its position in another, m."""
-    way = minus(vec3(one, w, i), vec3(two, w, i))
-    return math.sqrt(dot(way, way))
+    displacement = minus(vec3(one, w, i), vec3(two, w, i))
+    return math.sqrt(dot(displacement, displacement))
 
 
 @func
-def _set_reach(
+def _set_ranges(
     space: ContactWorkspace, world: ContactWorld, end: Swarm, budget: np.ndarray
 ) -> None:
-    """Set how far drones move in the substep, and which of them are due.
+    """Set how far drones move in the substep, and which of them have to be checked (`is_due`).
 
-    A drone is due if its budget is used up, or would be after one more such substep: one check then
-    serves both.
+    A drone has to be checked if its budget is used up, or would be after one more such substep: one
+    check then serves both.
     """
     w = world.w
     for i in range(budget.shape[1]):
         motion = space.motions[i]
         motion.is_started = False
         motion.is_due = False
-        motion.reach = PAIR_MARGIN
+        motion.range = PAIR_MARGIN
         if world.alive[w, i] and not world.asleep[w, i]:
-            motion.reach += _compute_distance(end.position, world.start.position, w, i)
-            motion.is_due = budget[w, i] < motion.reach
+            motion.range += _compute_distance(end.position, world.start.position, w, i)
+            motion.is_due = budget[w, i] < motion.range
 
 
 @allocating
@@ -153,11 +153,11 @@ def _collect_drone_pairs(
     rank: int,
     again: bool,
     pairs: np.ndarray,
-    count: int,
+    num_pairs: int,
 ) -> tuple[np.ndarray, int]:
     """Collect the pairs of one drone and start the motions of their drones; see `collect_pairs`."""
-    old = count
-    pairs, count = collect_pairs(
+    old = num_pairs
+    pairs, num_pairs = collect_pairs(
         world.scenery,
         space.motions,
         world.alive,
@@ -165,30 +165,32 @@ def _collect_drone_pairs(
         order,
         rank,
         again,
-        world.speed,
+        world.obstacle_displacement,
         pairs,
-        count,
+        num_pairs,
     )
-    for p in range(old, count):
+    for p in range(old, num_pairs):
         _start_drone_motion(space, world, end, pairs[p].a)
         _start_drone_motion(space, world, end, pairs[p].b)
-    return pairs, count
+    return pairs, num_pairs
 
 
 @allocating
 def find_pairs(
     space: ContactWorkspace, world: ContactWorld, end: Swarm, order: np.ndarray
 ) -> tuple[np.ndarray, int]:
-    """Collect the pairs of all due drones, and of sleeping drones within their reach."""
+    """Collect the pairs of all drones to be checked, and of the sleeping drones in these pairs."""
     motions = space.motions
     for i in range(order.shape[0]):
         motions[i].in_island = False
         write_vec3(motions[i].start_position, vec3(world.start.position, world.w, i))
     pairs = space.pairs
-    count = 0
+    num_pairs = 0
     for rank in range(order.shape[0]):
         if motions[order[rank]].is_due:
-            pairs, count = _collect_drone_pairs(space, world, end, order, rank, False, pairs, count)
+            pairs, num_pairs = _collect_drone_pairs(
+                space, world, end, order, rank, False, pairs, num_pairs
+            )
     # A touched sleeping drone is held by its support, which may be another sleeping drone
     grown = True
     while grown:
@@ -197,11 +199,11 @@ def find_pairs(
             motion = motions[order[rank]]
             if motion.is_started and not motion.is_due and world.asleep[world.w, order[rank]]:
                 motion.is_due = True
-                pairs, count = _collect_drone_pairs(
-                    space, world, end, order, rank, True, pairs, count
+                pairs, num_pairs = _collect_drone_pairs(
+                    space, world, end, order, rank, True, pairs, num_pairs
                 )
                 grown = True
-    return pairs, count
+    return pairs, num_pairs
 
 
 @allocating
@@ -211,7 +213,7 @@ def _extend_pairs(
     end: Swarm,
     order: np.ndarray,
     pairs: np.ndarray,
-    count: int,
+    num_pairs: int,
 ) -> tuple[np.ndarray, int]:
     """Collect pairs again for drones whose new path leaves the distance that was searched."""
     for rank in range(order.shape[0]):
@@ -220,12 +222,14 @@ def _extend_pairs(
             continue
         here = minus(read_vec3(motion.position), read_vec3(motion.start_position))
         there = plus(here, 1.0, read_vec3(motion.displacement))
-        way = math.sqrt(max(dot(here, here), dot(there, there)))
-        if way > motion.reach or not motion.is_due:
-            motion.reach = max(motion.reach, 1.5 * way + PAIR_MARGIN)
+        distance = math.sqrt(max(dot(here, here), dot(there, there)))
+        if distance > motion.range or not motion.is_due:
+            motion.range = max(motion.range, 1.5 * distance + PAIR_MARGIN)
             motion.is_due = True
-            pairs, count = _collect_drone_pairs(space, world, end, order, rank, True, pairs, count)
-    return pairs, count
+            pairs, num_pairs = _collect_drone_pairs(
+                space, world, end, order, rank, True, pairs, num_pairs
+            )
+    return pairs, num_pairs
 
 
 @func
@@ -234,16 +238,16 @@ def _start_next_segment(space: ContactWorkspace, world: ContactWorld, pair: np.r
 
     Returns the number of these drones; their indices are in `space.island`.
     """
-    members = 0
+    num_members = 0
     for shape in (pair.a, pair.b):
         if get_segment_end(world.scenery, space.motions, shape) <= pair.impact_time:
-            members = add_to_island(space, world, members, shape, pair.impact_time)
-    apply_forces(space, members, pair.impact_time, 1.0)
-    for m in range(members):
+            num_members = add_to_island(space, world, num_members, shape, pair.impact_time)
+    apply_forces(space, num_members, pair.impact_time, 1.0)
+    for m in range(num_members):
         i = space.island[m]
         start_segment(space.motions[i], world.dt, world.parameters[world.w, i])
-    apply_forces(space, members, pair.impact_time, -1.0)
-    return members
+    apply_forces(space, num_members, pair.impact_time, -1.0)
+    return num_members
 
 
 @allocating
@@ -255,12 +259,12 @@ def _resolve_due_drones(
     changed: np.ndarray,
     touches: ContactLog,
 ) -> bool:
-    """Find the pairs of due drones and resolve their impacts in order of time."""
+    """Find the pairs of the drones to be checked and resolve their impacts in order of time."""
     order = space.order
-    pairs, count = find_pairs(space, world, end, order)
-    if count == 0:
+    pairs, num_pairs = find_pairs(space, world, end, order)
+    if num_pairs == 0:
         return False
-    return _resolve_pairs(space, world, end, pairs, count, stopped, changed, touches)
+    return _resolve_pairs(space, world, end, pairs, num_pairs, stopped, changed, touches)
 
 
 @deferred(types.boolean)
@@ -270,7 +274,7 @@ def _resolve_pairs(
     world: ContactWorld,
     end: Swarm,
     pairs: np.ndarray,
-    count: int,
+    num_pairs: int,
     stopped: np.ndarray,
     changed: np.ndarray,
     touches: ContactLog,
@@ -279,27 +283,27 @@ def _resolve_pairs(
     w = world.w
     motions = space.motions
     order = space.order
-    for p in range(count):
+    for p in range(num_pairs):
         _update_time_of_impact(space, world, pairs[p], 0.0)
     any_impact = False
     while True:
-        first = _find_first_pair(pairs, count)
+        first = _find_first_pair(pairs, num_pairs)
         if first < 0:
             break
         time = pairs[first].impact_time
         knot = pairs[first].is_segment_end
         if knot:
-            members = _start_next_segment(space, world, pairs[first])
+            num_members = _start_next_segment(space, world, pairs[first])
         elif world.stops:
-            members = stop_at_contact(space, world, pairs[first], time, touches, stopped)
+            num_members = stop_at_contact(space, world, pairs[first], time, touches, stopped)
         else:
-            members = resolve_impact(space, world, pairs, count, first, time, touches)
-        pairs, count = _extend_pairs(space, world, end, order, pairs, count)
-        for p in range(count):
+            num_members = resolve_impact(space, world, pairs, num_pairs, first, time, touches)
+        pairs, num_pairs = _extend_pairs(space, world, end, order, pairs, num_pairs)
+        for p in range(num_pairs):
             b = pairs[p].b
             if motions[pairs[p].a].in_island or (b < motions.shape[0] and motions[b].in_island):
                 _update_time_of_impact(space, world, pairs[p], time)
-        for m in range(members):
+        for m in range(num_members):
             i = space.island[m]
             motions[i].in_island = False
             changed[w, i] = changed[w, i] or not knot
@@ -313,7 +317,7 @@ def resolve_contacts(
     world: ContactWorld,
     end: Swarm,
     budget: np.ndarray,
-    turns: np.ndarray,
+    uses_rotation: np.ndarray,
     stopped: np.ndarray,
     changed: np.ndarray,
     touches: ContactLog,
@@ -325,7 +329,7 @@ def resolve_contacts(
         world: The world, with the state at the beginning of the substep.
         end: State at the end of the substep as flown without contacts; changed.
         budget: (W, N) distance that each drone may move before it is checked, m; changed.
-        turns: (W, N) bool, drones whose rotation uses up their budget; changed.
+        uses_rotation: (W, N) bool, drones whose rotation uses up their budget; changed.
         stopped: (W, N) bool, drones that stopped; changed.
         changed: (W, N) bool, drones whose state was changed; changed.
         touches: Contacts of the decision; added to.
@@ -335,19 +339,19 @@ def resolve_contacts(
     """
     w = world.w
     order = space.order
-    _set_reach(space, world, end, budget)
+    _set_ranges(space, world, end, budget)
     sort_drones(order, world.start.position, w)
     any_impact = False
-    if not are_bounds_clear(space, world, end, budget, turns):
+    if not are_bounds_clear(space, world, end, budget, uses_rotation):
         any_impact = _resolve_due_drones(space, world, end, stopped, changed, touches)
         for i in range(changed.shape[1]):
             if changed[w, i]:
                 write_end_state(space.motions[i], end, w, i, world.parameters[w, i])
             if space.motions[i].is_due and world.alive[w, i]:
-                budget[w, i] = compute_budget(world.scenery, end, turns, w, i)
+                budget[w, i] = compute_budget(world.scenery, end, uses_rotation, w, i)
     for rank in range(order.shape[0]):
         i = order[rank]
         if space.motions[i].is_due and world.alive[w, i]:
             share_budgets(world.scenery, end, world.alive, budget, order, w, i)
-            budget[w, i] -= world.speed
+            budget[w, i] -= world.obstacle_displacement
     return any_impact

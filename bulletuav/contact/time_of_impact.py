@@ -64,7 +64,23 @@ def measure_distance(
 ) -> tuple[float, Vec3, Vec3, Vec3]:
     """Measure the distance of a pair at a time in the substep.
 
-    Uses `closest_features`, or `gjk_distance` if `gjk_only`. Returns what these return.
+    Args:
+        scenery: All shapes.
+        motions: (N,) rows of `MOTION`.
+        w: Index of the world.
+        a: Shape index of a drone.
+        b: Index of the other shape.
+        time: Fraction of the substep.
+        dt: Length of the substep, s.
+        guess: Direction of an earlier separation, or zeros.
+        scratch: Work array, see `bulletuav.geometry.minkowski.make_scratch`.
+        gjk_only: True to use `gjk_distance` instead of `closest_features`, see
+            `find_time_of_impact`.
+
+    Returns:
+        The signed distance, m, negative for the penetration depth of an overlap. The unit normal
+        from b to a. The closest points on a and b, each relative to the position of its shape. All
+        in world axes.
     """
     position_a, quaternion_a = interpolate_pose(scenery, motions, w, a, time, dt)
     position_b, quaternion_b = interpolate_pose(scenery, motions, w, b, time, dt)
@@ -107,12 +123,15 @@ def find_time_of_impact(
         dt: Length of the substep, s.
         guess: Direction of an earlier separation, or zeros.
         scratch: Work array, see `bulletuav.geometry.minkowski.make_scratch`.
-        gjk_only: True to measure with `gjk_distance`, whose bits kinematic flights keep.
+        gjk_only: True for worlds whose drones stop at a contact (`ContactWorld.stops`): measures
+            with `gjk_distance` and skips the test by a separating plane, because the results of
+            kinematic flights must not change, not even in the last bit.
 
     Returns:
         Time of impact as a fraction of the substep: `start` if the pair is that close already and
         may approach, `NO_IMPACT` if there is none. The last separating direction. Whether the pair
-        is in contact at `start`.
+        was measured to be in contact at `start`; False if a plane separates it, and then also for a
+        pair in contact that `has_touched`.
     """
     if not gjk_only:
         # A pair that has touched is known to be in contact
@@ -127,7 +146,8 @@ def find_time_of_impact(
     move_b, turn_b = compute_path_rates(scenery, motions, w, b, dt)
     move = minus(move_a, move_b)
     radii = scenery.table.radius[a], scenery.table.radius[b]
-    turns = b < motions.shape[0] and (turn_a != (0.0, 0.0, 0.0) or turn_b != (0.0, 0.0, 0.0))
+    rotates = turn_a != (0.0, 0.0, 0.0) or turn_b != (0.0, 0.0, 0.0)
+    uses_rotating_planes = b < motions.shape[0] and rotates
     end = min(get_segment_end(scenery, motions, a), get_segment_end(scenery, motions, b))
     time = start
     normal = guess
@@ -143,22 +163,22 @@ def find_time_of_impact(
         )
         in_contact = in_contact or (time == start and distance <= MAX_CONTACT_DISTANCE)
         left = distance - target_distance
-        rest = end - time
+        remaining = end - time
         # Bound the closing speed, and the curvature of the paths
         between = plus(minus(on_b, on_a), distance, normal)
-        count = 3 if turns and left > 0.0 else 1
-        planes = bound_planes(radii, normal, move, turn_a, turn_b, between, count)
+        num_planes = 3 if uses_rotating_planes and left > 0.0 else 1
+        planes = bound_planes(radii, normal, move, turn_a, turn_b, between, num_planes)
         plane, step = find_longest_plane(planes, left)
         bound, growth, deviation, _ = plane
         landed, leapt = leapt and left > 0.0, False
         if landed:
-            # Other points than the closest ones may have touched and parted again on the way
+            # Other points than the closest ones may have touched and parted again in between
             then = rotate_normal(plane, normal, apart - time)
             before, _, _ = measure_along_direction(scenery, motions, w, a, b, apart, dt, then)
             if before - target_distance < 4.0 * deviation * (time - apart) ** 2:
                 time = safe
                 continue
-        if left > (bound + 0.5 * growth * rest) * rest:
+        if left > (bound + 0.5 * growth * remaining) * remaining:
             return NO_IMPACT, normal, in_contact
         if left <= tolerance and (time == start or left >= -tolerance):
             return (time if bound + growth > 0.0 else NO_IMPACT), normal, in_contact
@@ -173,14 +193,14 @@ def find_time_of_impact(
                 time,
                 dt,
                 planes,
-                count,
+                num_planes,
                 normal,
                 distance,
                 target_distance,
                 step,
-                rest,
+                remaining,
             )
-            if step >= rest:
+            if step >= remaining:
                 return NO_IMPACT, normal, in_contact
         else:
             overlapping = time

@@ -38,7 +38,7 @@ class ContactCache(NamedTuple):
 
     Attributes:
         rows: (W, N, MAX_CACHED_POINTS) rows of `CACHED_POINT`, with the first drone of each pair.
-        number: (W, N) number of rows that count.
+        number: (W, N) number of rows in use.
     """
 
     rows: np.ndarray
@@ -59,8 +59,8 @@ def warm_start_impulses(
     w: int,
     points: np.ndarray,
     pairs: np.ndarray,
-    size: int,
-    rest: float,
+    num_points: int,
+    remaining: float,
 ) -> None:
     """Initialise the impulse of each point with the closest cached impulse of the same pair.
 
@@ -71,10 +71,10 @@ def warm_start_impulses(
         w: Index of the world.
         points: Rows of `CONTACT_POINT`; impulses are written.
         pairs: Rows of `PAIR`.
-        size: Number of points that count.
-        rest: Fraction of the substep that is left.
+        num_points: Number of points in use.
+        remaining: Remaining fraction of the substep.
     """
-    for k in range(size):
+    for k in range(num_points):
         point = points[k]
         write_vec3(point.impulse, (0.0, 0.0, 0.0))
         # No forces act on drones at the impact limit
@@ -97,12 +97,12 @@ def warm_start_impulses(
             continue
         rows[best].free = False
         force = to_world(turn, read_vec3(rows[best].force))
-        point.impulse[0] = max(0.0, rest * dot(force, read_vec3(point.normal)))
+        point.impulse[0] = max(0.0, remaining * dot(force, read_vec3(point.normal)))
         # The drone has turned since: without friction the solver could not remove a tangential part
         if point.friction == 0.0:
             continue
-        point.impulse[1] = rest * dot(force, read_vec3(point.tangent[0]))
-        point.impulse[2] = rest * dot(force, read_vec3(point.tangent[1]))
+        point.impulse[1] = remaining * dot(force, read_vec3(point.tangent[0]))
+        point.impulse[2] = remaining * dot(force, read_vec3(point.tangent[1]))
 
 
 @func
@@ -111,11 +111,11 @@ def store_impulses(
     motions: np.ndarray,
     w: int,
     island: np.ndarray,
-    members: int,
+    num_members: int,
     points: np.ndarray,
     pairs: np.ndarray,
-    size: int,
-    rest: float,
+    num_points: int,
+    remaining: float,
 ) -> None:
     """Cache the impulses of an island for the next substep.
 
@@ -127,18 +127,18 @@ def store_impulses(
         motions: (N,) rows of `MOTION`.
         w: Index of the world.
         island: (N,) drones of the island.
-        members: Number of drones of the island.
+        num_members: Number of drones of the island.
         points: Rows of `CONTACT_POINT`.
         pairs: Rows of `PAIR`.
-        size: Number of points that count.
-        rest: Fraction of the substep that is left.
+        num_points: Number of points in use.
+        remaining: Remaining fraction of the substep.
     """
     max_impulse = 0.0
-    for m in range(members):
+    for m in range(num_members):
         i = island[m]
         push = read_vec3(motions[i].velocity_change)
         max_impulse = max(
-            max_impulse, members * math.sqrt(dot(push, push)) / motions[i].inverse_mass
+            max_impulse, num_members * math.sqrt(dot(push, push)) / motions[i].inverse_mass
         )
         if is_at_impact_limit(motions[i]):
             # The impulses from when forces still acted will be needed again
@@ -146,16 +146,16 @@ def store_impulses(
                 memory.rows[w, i, k].free = True
         else:
             memory.number[w, i] = 0
-    if rest < MIN_CACHED_FRACTION:
+    if remaining < MIN_CACHED_FRACTION:
         return
-    for k in range(size):
+    for k in range(num_points):
         point = points[k]
-        count = memory.number[w, point.a]
-        if count == MAX_CACHED_POINTS or is_at_impact_limit(motions[point.a]):
+        num_cached = memory.number[w, point.a]
+        if num_cached == MAX_CACHED_POINTS or is_at_impact_limit(motions[point.a]):
             continue
-        row = memory.rows[w, point.a, count]
+        row = memory.rows[w, point.a, num_cached]
         turn = read_quaternion(motions[point.a])
-        scale = 1.0 / rest
+        scale = 1.0 / remaining
         if scale * point.impulse[0] > max_impulse:
             scale = max_impulse / point.impulse[0]
         normal = scale * point.impulse[0]
@@ -169,4 +169,4 @@ def store_impulses(
         write_vec3(row.arm, to_body(turn, read_vec3(point.arm_a)))
         write_vec3(row.force, to_body(turn, force))
         row.free = True
-        memory.number[w, point.a] = count + 1
+        memory.number[w, point.a] = num_cached + 1

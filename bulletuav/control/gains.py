@@ -56,7 +56,8 @@ class GainRow(Protocol):
         max_tilt: Tangent of the largest tilt.
         max_thrust: Thrust of all rotors at their highest speed, N.
         mixer: (MAX_ROTORS, 4) thrust of each rotor from collective thrust and torques.
-        pid_mixer: (MAX_ROTORS, 3) PWM of each rotor from the PID's torques.
+        pid_mixer: (MAX_ROTORS, 3) PWM steps of each rotor per unit of the PID's roll, pitch and yaw
+            output, which is not a torque in N m.
         pwm_slope: Slope of rpm = slope pwm + intercept.
         pwm_intercept: Intercept of rpm = slope pwm + intercept.
         pwm_min: Smallest PWM.

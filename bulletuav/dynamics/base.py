@@ -245,7 +245,7 @@ class Dynamics(ABC):
         wind: np.ndarray,
         motion: ObstacleMotion,
     ) -> Contacts:
-        """Move the living drones through one decision, and return their contacts.
+        """Move the active drones through one decision, and return their contacts.
 
         Args:
             swarm: State of all drones, updated in place.
@@ -257,7 +257,7 @@ class Dynamics(ABC):
                 empty.
 
         Returns:
-            Contacts of living drones.
+            Contacts of active drones.
 
         Raises:
             RuntimeError: If a flight diverged.

@@ -13,7 +13,7 @@ FASTEST_SPIN = 9.9e3  # rad/s
 
 @kernel
 def any_lost(swarm: Swarm, alive: np.ndarray, lost: np.ndarray) -> bool:
-    """Return True if the speed or spin of a living drone is NaN or exceeds its limit.
+    """Return True if the speed or spin of an active drone is NaN or exceeds its limit.
 
     The world and index of the first such drone are written to `lost` (2,).
     """

@@ -22,7 +22,7 @@ def _convert(
     gravity: float,
     converted: np.ndarray,
 ) -> None:
-    """Fill `converted` for the living drones; see `convert`."""
+    """Fill `converted` for the active drones; see `convert`."""
     swarm, alive = drones.swarm, drones.alive
     speed = np.empty(swarm.rotor_speed.shape[2])
     for w in range(alive.shape[0]):

@@ -178,7 +178,7 @@ class Aviary(Environment):
             actions: (W, N, A), clipped to their bounds.
 
         Raises:
-            ValueError: If the actions have a wrong shape, or an action of a living drone is not
+            ValueError: If the actions have a wrong shape, or an action of an active drone is not
                 finite. The worlds are unchanged.
             RuntimeError: If called before the first reset or after `close`.
         """
@@ -203,7 +203,7 @@ class Aviary(Environment):
         `truncated`, `observations` and `info_table`.
 
         Raises:
-            ValueError: If an action of a living drone is invalid. The worlds are unchanged.
+            ValueError: If an action of an active drone is invalid. The worlds are unchanged.
         """
         self.simulation.decide()
         if self.viewer is not None:
@@ -245,7 +245,9 @@ class Aviary(Environment):
     def observations(self) -> Observation:
         """Return a copy of the observations of the last decision."""
         vector = self.worlds.vector.copy()
-        return vector if self.observer.is_plain else self.observer.shown(self.worlds.frame, vector)
+        return (
+            vector if self.observer.is_plain else self.observer.assemble(self.worlds.frame, vector)
+        )
 
     def info_table(self, world: Any = ...) -> InfoTable:
         """Copy the results of the last decision; calling the returned object makes infos.

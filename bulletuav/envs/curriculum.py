@@ -249,7 +249,7 @@ class CurriculumAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc] 
 
     @exclusive
     def step(self, actions: dict[str, np.ndarray]) -> AgentResults:
-        """Simulate one decision of all living agents; see `ParallelAviary.step`.
+        """Simulate one decision of all active agents; see `ParallelAviary.step`.
 
         Args:
             actions: An action for each of `agents`; those of agents that take no part are ignored.

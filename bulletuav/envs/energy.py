@@ -95,7 +95,7 @@ class Energy:
             after: State after the decision.
             wind: (W, N, 3) wind during the decision, m/s.
             payload: (W, N) power of equipment in addition to flight, W.
-            flown: (W, N) bool, drones that flew the decision; only their batteries are drained.
+            flown: (W, N) bool, drones active before the decision; only their batteries are drained.
         """
         if self._wings is None:
             speeds = (before.rotor_speed, after.rotor_speed)

@@ -289,7 +289,7 @@ class EnvSpec:
             (W, N, A).
 
         Raises:
-            ValueError: If the shape is wrong, or an action of a living drone is not finite or no
+            ValueError: If the shape is wrong, or an action of an active drone is not finite or no
                 valid choice.
         """
         actions = numbers_of("actions are", actions)

@@ -150,7 +150,7 @@ class EpisodeStart:
         if (
             worlds.num_worlds > 1
             and worlds.sensors.keep_others
-            and observer.reads_none_of(STALE_FIELDS)
+            and not observer.reads_any(STALE_FIELDS)
         ):
             account, program = self._account_update()
             arrays = [*worlds.state_arrays().values(), *worlds.last_arrays().values()]

@@ -77,7 +77,8 @@ class InfoTable:
     Attributes:
         table: (K, W, N) numbers.
         rows: Name and type of each row of the table; rows without a name are left out.
-        more: Further arrays (W, N) by name; immutable arrays are not copies.
+        more: Further arrays (W, N) by name. They belong to the table, except immutable arrays,
+            which are shared with the environment and copied when infos are made.
         world: Index of the world of the infos; `...` for all.
     """
 
@@ -87,12 +88,12 @@ class InfoTable:
     world: Any = ...
 
     def __call__(self) -> dict[str, np.ndarray]:
-        """Return infos, whose arrays callers may modify."""
+        """Return infos: arrays (W, N) by name, or (N,) for one world, which callers may modify."""
         more = {
             name: (value.copy() if is_immutable(value) else value)[self.world]
             for name, value in self.more.items()
         }
-        return columns_of_table(self.table[:, self.world], self.rows) | more
+        return rows_by_name(self.table[:, self.world], self.rows) | more
 
 
 def is_immutable(value: Any) -> bool:
@@ -100,17 +101,17 @@ def is_immutable(value: Any) -> bool:
     return type(value) is np.ndarray and value.base is None and not value.flags.writeable
 
 
-def columns_of_table(
+def rows_by_name(
     table: np.ndarray, names: Iterable[tuple[str | None, Any]]
 ) -> dict[str, np.ndarray]:
-    """Return the rows of a table as infos.
+    """Return the rows of a table by name.
 
     Args:
-        table: (K, W, N) numbers.
+        table: (K, W, N) numbers, or (K, N) of one world.
         names: Name and type of each row; rows without a name are left out.
 
     Returns:
-        Arrays (W, N) by name.
+        Arrays without the first axis of the table, by name.
     """
     named_rows = zip(table, names, strict=True)
     return {name: row.astype(kind) for row, (name, kind) in named_rows if name is not None}

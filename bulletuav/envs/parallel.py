@@ -121,7 +121,7 @@ class ParallelAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  #
 
     @exclusive
     def step(self, actions: dict[str, np.ndarray]) -> AgentResults:
-        """Simulate one decision of all living agents.
+        """Simulate one decision of all active agents.
 
         Args:
             actions: An action for each of `agents`; those of agents that have left are ignored.
@@ -156,7 +156,7 @@ class ParallelAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  #
         return seen, rewards, terminated, truncated, infos
 
     def _living_rows(self) -> list[int] | None:
-        """Return the rows of the living agents in the batch; None for all."""
+        """Return the rows of the active agents in the batch; None for all."""
         if len(self.agents) == len(self.possible_agents):
             return None
         return [self._rows[agent] for agent in self.agents]
@@ -179,7 +179,7 @@ class ParallelAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  #
         self.aviary.require_action(row, drone_numbers(self.aviary.action, row, action))
 
     def _by_agent(self, observations: Observation, rows: list[int] | None) -> ByAgent:
-        """Split observations (1, N, ...) by living agent."""
+        """Split observations (1, N, ...) by active agent."""
         if isinstance(observations, dict):
             return {agent: part(observations, (0, self._rows[agent])) for agent in self.agents}
         return dict(zip(self.agents, _rows_of(observations, rows), strict=True))
@@ -187,7 +187,7 @@ class ParallelAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  #
     def _infos(
         self, make_infos: Callable[[], dict[str, np.ndarray]], rows: list[int] | None
     ) -> InfosByAgent:
-        """Split infos (1, N) by living agent."""
+        """Split infos (1, N) by active agent."""
         agents = self.agents
 
         def make() -> InfosByAgent:

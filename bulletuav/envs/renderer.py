@@ -60,7 +60,7 @@ class Renderer:
         collision: bool = False,
         marked: bool = True,
     ) -> np.ndarray:
-        """Render the living drones, with marks of objects that are too small to be seen.
+        """Render the active drones, with marks of objects that are too small to be seen.
 
         Thin lines drop from drones to the ground.
 

@@ -71,7 +71,7 @@ class Simulation:
         """Simulate one decision with the actions in `state.given`.
 
         Raises:
-            ValueError: If an action of a living drone is invalid. The worlds are unchanged.
+            ValueError: If an action of an active drone is invalid. The worlds are unchanged.
         """
         self.update_scene()
         self.start.is_account_complete = True

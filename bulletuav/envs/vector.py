@@ -147,7 +147,7 @@ class BatchAviary(LabelledEnvironment):
         actions = numbers_of("actions are", actions)
         if self.aviary.action.choices is not None:
             actions = actions[..., None]
-        # Worlds with living drones, and finished ones that are reset instead
+        # Worlds with active drones, and finished ones that are reset instead
         flying = self.aviary.alive.any(axis=1)
         fresh = self._ended & ~flying & (self.autoreset_mode != AutoresetMode.DISABLED)
         observations, rewards, terminated, truncated, info = self.aviary.step(actions)

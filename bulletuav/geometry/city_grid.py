@@ -29,7 +29,7 @@ class CityGrid(NamedTuple):
         boxes: (L,) bool, True if a layout consists of boxes only.
         heights: (L, 2) lower and upper bound of the heights of a layout's pieces, m, with a margin
             of 1 m.
-        reach: The grid covers [-reach, reach]^2, m.
+        half_side: Half of the side of the grid, m: it covers [-half_side, half_side]^2.
         cells: Number of cells along each side of the grid; cell c is in column c // cells (along x)
             and row c % cells (along y).
     """
@@ -41,7 +41,7 @@ class CityGrid(NamedTuple):
     item: np.ndarray
     boxes: np.ndarray
     heights: np.ndarray
-    reach: float
+    half_side: float
     cells: int
 
 
@@ -57,8 +57,8 @@ def make_city_grid(layouts: Sequence[Solids], num_worlds: int) -> CityGrid:
     """
     # A square that contains all pieces of all layouts, at least two cells wide.
     bounds = np.concatenate([np.zeros((0, 2, 3)), *(solids.bounds for solids in layouts)])
-    reach = float(np.abs(bounds[..., :2]).max(initial=GRID_CELL))
-    count = math.ceil(2 * reach / GRID_CELL)
+    half_side = float(np.abs(bounds[..., :2]).max(initial=GRID_CELL))
+    count = math.ceil(2 * half_side / GRID_CELL)
     city_grid = CityGrid(
         layout=np.full(num_worlds, NO_LAYOUT),
         low=bounds[:, 0].copy(),
@@ -67,7 +67,7 @@ def make_city_grid(layouts: Sequence[Solids], num_worlds: int) -> CityGrid:
         item=np.zeros(0, dtype=np.int64),
         boxes=np.array([not solids.hulls for solids in layouts], dtype=bool),
         heights=np.array([_height_range(solids) for solids in layouts]).reshape(-1, 2),
-        reach=reach,
+        half_side=half_side,
         cells=count,
     )
     items: list[int] = []
@@ -112,13 +112,13 @@ def cells_in_rectangle(
     Returns:
         The first column and the one after the last, the first row and the one after the last.
     """
-    # Cells are counted from the south-west corner, which is at -reach
-    scale = city_grid.cells / (2.0 * city_grid.reach)
+    # Cells are counted from the south-west corner, which is at -half_side
+    scale = city_grid.cells / (2.0 * city_grid.half_side)
     return (
-        max(0, math.floor((west + city_grid.reach) * scale)),
-        min(city_grid.cells, math.floor((east + city_grid.reach) * scale) + 1),
-        max(0, math.floor((south + city_grid.reach) * scale)),
-        min(city_grid.cells, math.floor((north + city_grid.reach) * scale) + 1),
+        max(0, math.floor((west + city_grid.half_side) * scale)),
+        min(city_grid.cells, math.floor((east + city_grid.half_side) * scale) + 1),
+        max(0, math.floor((south + city_grid.half_side) * scale)),
+        min(city_grid.cells, math.floor((north + city_grid.half_side) * scale) + 1),
     )
 
 

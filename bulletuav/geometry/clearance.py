@@ -112,8 +112,8 @@ def measure_clearance(
             # Drones
             for j in range(mask.shape[1]):
                 offset = minus(vec3(position, w, j), place)
-                reach = found + table.radius[i] + table.radius[j]
-                if j == i or not mask[w, j] or _is_beyond(offset, reach):
+                radius = found + table.radius[i] + table.radius[j]
+                if j == i or not mask[w, j] or _is_beyond(offset, radius):
                     continue
                 other_rotation = axes(quat4(quaternion, w, j))
                 distance, _, _, _ = gjk_distance(
@@ -136,7 +136,7 @@ def measure_clearance(
 
 
 @func
-def _is_beyond(offset: Vec3Like, reach: float) -> bool:
-    """Return True if a point is at least `reach` away, m; always True for a reach of 0 or less."""
-    beyond: bool = reach <= 0.0 or dot(offset, offset) >= reach * reach
+def _is_beyond(offset: Vec3Like, radius: float) -> bool:
+    """Return True if a point is at least `radius` away, m; always True for 0 or less."""
+    beyond: bool = radius <= 0.0 or dot(offset, offset) >= radius * radius
     return beyond

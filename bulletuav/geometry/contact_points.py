@@ -168,8 +168,8 @@ def _write_heights(
 def _is_new_point(points: np.ndarray, count: int, place: Vec3) -> bool:
     """Return True if no contact point exists within MERGE_DISTANCE of a position."""
     for m in range(count):
-        way = minus(place, point(points, m))
-        if dot(way, way) <= MERGE_DISTANCE * MERGE_DISTANCE:
+        offset = minus(place, point(points, m))
+        if dot(offset, offset) <= MERGE_DISTANCE * MERGE_DISTANCE:
             return False
     return True
 

@@ -2,8 +2,8 @@
 
 A polytope inside the Minkowski difference of the shapes is expanded at its face closest to the
 origin. The support of the difference along a face's normal is an upper bound of the penetration
-depth: moving the shapes apart by it separates them. The result is the bound of the last face, so it
-is never less than the true depth.
+depth: moving the shapes apart by it separates them. The result is the bound of the last face,
+or the smallest bound found if the arrays are full, so it is never less than the true depth.
 
 References:
     G. van den Bergen, Proximity queries and penetration depth computation on 3D game objects
@@ -44,7 +44,7 @@ UP = (0.0, 0.0, 1.0)
 
 @func
 def _most_perpendicular_axis(v: Vec3) -> Vec3:
-    """Return the coordinate axis with the largest angle to a vector."""
+    """Return the coordinate axis whose angle to a vector is closest to 90 degrees."""
     x = abs(v[0])
     y = abs(v[1])
     z = abs(v[2])
@@ -55,7 +55,11 @@ def _most_perpendicular_axis(v: Vec3) -> Vec3:
 
 @func
 def _simplex_extent(scratch: np.ndarray, count: int, w: Vec3) -> float:
-    """Return the distance of a point from the other vertices' line or plane, times their extent."""
+    """Return how far a new vertex extends a simplex of `count` vertices.
+
+    This is the squared length (m^2) for one vertex, four times the squared area of the triangle
+    (m^4) for two, and six times the volume of the tetrahedron (m^3) for three.
+    """
     base = scratch_vec3(scratch, 0, 0)
     new = minus(w, base)
     if count == 1:
@@ -122,7 +126,11 @@ def _expand_to_tetrahedron(
 
 @func
 def _write_face(scratch: np.ndarray, row: int, i: int, j: int, k: int) -> None:
-    """Write a triangle to a row; its vertices are counterclockwise seen from outside."""
+    """Write the normal, distance from the origin and vertices of a triangle to a row.
+
+    The vertices i, j, k are counterclockwise seen from outside. The distance of a degenerate
+    triangle is inf.
+    """
     base = scratch_vec3(scratch, i, 0)
     normal = cross(
         minus(scratch_vec3(scratch, j, 0), base), minus(scratch_vec3(scratch, k, 0), base)
@@ -229,7 +237,17 @@ def _barycentric_weights(scratch: np.ndarray, i: int, j: int, k: int, foot: Vec3
 def _interpolate_face(
     scratch: np.ndarray, i: int, j: int, k: int, weights: Vec3, column: int
 ) -> Vec3:
-    """Return the barycentric mean of three columns over the three vertices of a triangle."""
+    """Return the barycentric mean of three columns over the three vertices of a triangle.
+
+    Args:
+        scratch: Scratch array of `make_scratch`.
+        i: Row of the first vertex.
+        j: Row of the second vertex.
+        k: Row of the third vertex.
+        weights: Barycentric weights.
+        column: First of the three columns: 0 for the difference, 3 for the point on a, 6 for that
+            on b.
+    """
     mean = plus((0.0, 0.0, 0.0), weights[0], scratch_vec3(scratch, i, column))
     mean = plus(mean, weights[1], scratch_vec3(scratch, j, column))
     return plus(mean, weights[2], scratch_vec3(scratch, k, column))
@@ -278,7 +296,8 @@ def epa_penetration(
 ) -> tuple[float, Vec3, Vec3, Vec3]:
     """Compute the penetration depth of two shapes that overlap or touch.
 
-    Spheres are represented by their centres.
+    The depth is that of the cores of the shapes: the core of a sphere is its centre. Callers add
+    the margins, see `shape_margin`.
 
     Args:
         table: The shapes.
@@ -292,8 +311,9 @@ def epa_penetration(
 
     Returns:
         The same as `gjk_distance`: the negative depth, the unit normal from b to a, and the closest
-        points. The depth exceeds the true one by at most RELATIVE_TOLERANCE, unless the polytope
-        reaches MAX_VERTICES. The distance of the points along the normal has about the same error.
+        points. The depth exceeds the true one by at most ABSOLUTE_TOLERANCE plus
+        RELATIVE_TOLERANCE times the depth, unless the polytope reaches MAX_VERTICES or MAX_FACES.
+        The distance of the points along the normal has about the same error.
     """
     count = _expand_to_tetrahedron(table, a, rotation_a, b, rotation_b, offset, count, scratch)
     if count < 4:

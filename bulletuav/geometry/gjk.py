@@ -124,9 +124,9 @@ def _reduce_simplex(scratch: np.ndarray, count: int) -> int:
             now = scratch[k, WEIGHT]
             then = scratch[k, NEW_WEIGHT]
             if then <= 0.0:
-                reach = now / (now - then) if now > 0.0 else 0.0
-                if idle < 0 or reach < fraction:
-                    fraction = reach
+                crossing = now / (now - then) if now > 0.0 else 0.0
+                if idle < 0 or crossing < fraction:
+                    fraction = crossing
                     idle = k
         if idle < 0:
             for k in range(count):

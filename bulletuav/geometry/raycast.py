@@ -132,8 +132,8 @@ def _cast_in_cell(
 @func
 def _cell_index(place: float, city_grid: CityGrid) -> int:
     """Return the column (or row) of a coordinate (m), clamped to the grid."""
-    scale = 0.5 * city_grid.cells / city_grid.reach
-    return min(max(math.floor((place + city_grid.reach) * scale), 0), city_grid.cells - 1)
+    scale = 0.5 * city_grid.cells / city_grid.half_side
+    return min(max(math.floor((place + city_grid.half_side) * scale), 0), city_grid.cells - 1)
 
 
 @func
@@ -149,7 +149,7 @@ def _next_boundary(start: float, change: float, cell: int, step: int, city_grid:
     """Return the fraction at which a ray reaches the next column (or row), inf if never."""
     if step == 0:
         return np.inf
-    line = 2.0 * city_grid.reach / city_grid.cells * (cell + max(step, 0)) - city_grid.reach
+    line = 2.0 * city_grid.half_side / city_grid.cells * (cell + max(step, 0)) - city_grid.half_side
     return (line - start) / change
 
 
@@ -166,7 +166,7 @@ def _clip_to_grid(
     last = min(last, 1.0)
     # Clip to the square of the grid
     for k in range(2):
-        one, two = intersect_slab(start[k], change[k], -city_grid.reach, city_grid.reach)
+        one, two = intersect_slab(start[k], change[k], -city_grid.half_side, city_grid.half_side)
         entry = max(entry, one)
         last = min(last, two)
     return entry, last

@@ -57,7 +57,7 @@ def assign_users(
     load: np.ndarray,
     distance_weight: float,
 ) -> np.ndarray:
-    """Assign each user to a living drone; ties are broken by the lower index.
+    """Assign each user to an active drone; ties are broken by the lower index.
 
     Args:
         strategy: One of `STRATEGIES`.

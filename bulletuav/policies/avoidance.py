@@ -59,8 +59,8 @@ class Avoidance(Policy):
         # Surfaces within the braking distance from full speed are considered
         self.clearance = ObstacleClearance(body, MARGIN, BRAKING * speed + body + MARGIN)
         # Bounding spheres of the obstacles, inflated by the drone's radius and the margin
-        reach = [one.radius + body + MARGIN for one in task.obstacles()]
-        self._sphere_radius = np.array(reach, dtype=float)
+        radii = [one.radius + body + MARGIN for one in task.obstacles()]
+        self._sphere_radius = np.array(radii, dtype=float)
         self.box = np.maximum(task.arena_low, LOWEST_CORNER), np.array(task.arena_high, dtype=float)
         self._buildings = tabulate_buildings(task.layouts())
 

@@ -45,7 +45,7 @@ GRID = 25
 
 
 class Placement(PathFollower):
-    """Base class of policies that send each living drone to a hover position above the targets.
+    """Base class of policies that send each active drone to a hover position above the targets.
 
     Drones fly as high as the airspace allows. Above column-shaped buildings a higher position never
     loses line of sight.
@@ -84,7 +84,7 @@ class Placement(PathFollower):
         self.min_spacing = float(max(separation, INFLUENCE * task.config.d_safe))
         self._every = max(1, round(PERIOD * aviary.options.decision_hz))
         self._place = np.zeros((*shape, 3))
-        # Inputs of the last placement: living drones, and targets (infinite if inactive).
+        # Inputs of the last placement: active drones, and targets (infinite if inactive).
         self._placed = np.zeros(shape, dtype=bool)
         self._targets = np.zeros((shape[0], task.num_targets, 3))
 
@@ -142,7 +142,7 @@ class Placement(PathFollower):
     def places(
         self, w: int, targets: np.ndarray, position: np.ndarray, previous: np.ndarray | None
     ) -> np.ndarray:
-        """Choose the hover positions of the K living drones of a world.
+        """Choose the hover positions of the K active drones of a world.
 
         Args:
             w: Index of the world.

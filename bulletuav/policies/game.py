@@ -73,6 +73,6 @@ class Game(Avoidance):
         return fastest
 
     def opponents(self) -> np.ndarray:
-        """Return which drones j are living opponents of drone i, (W, N, N) bool."""
+        """Return which drones j are active opponents of drone i, (W, N, N) bool."""
         opposed: np.ndarray = ~self._own & self.aviary.alive[:, None, :]
         return opposed

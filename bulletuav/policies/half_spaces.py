@@ -62,7 +62,7 @@ def add_half_space(rows: np.ndarray, count: int, space: HalfSpace, max_speed: fl
 
 @kernel
 def find_nearest_drones(
-    traffic: Traffic, w: int, i: int, reach: float, near: np.ndarray, distance: np.ndarray
+    traffic: Traffic, w: int, i: int, max_distance: float, near: np.ndarray, distance: np.ndarray
 ) -> int:
     """Find the known drones within a distance of drone i, sorted by distance.
 
@@ -70,7 +70,7 @@ def find_nearest_drones(
         traffic: The traffic around each drone.
         w: Index of the world.
         i: Index of the drone.
-        reach: Maximum distance, m.
+        max_distance: Maximum distance, m.
         near: (M,) indices of the other drones, written.
         distance: (M,) their squared distances, m^2, written.
 
@@ -83,7 +83,7 @@ def find_nearest_drones(
             # Squared distances have the same order, and need no square root
             offset = vec3(traffic.offset[w], i, k)
             square = dot(offset, offset)
-            if square <= reach * reach:
+            if square <= max_distance * max_distance:
                 found = insert_nearest(near, distance, found, k, square)
     return found
 

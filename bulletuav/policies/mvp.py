@@ -49,7 +49,12 @@ class ModifiedVoltagePotential(Avoidance):
 def mvp_velocities(
     traffic: Traffic, preferred: np.ndarray, parameters: AvoidanceParameters
 ) -> np.ndarray:
-    """Add conflict resolution vectors to the preferred velocities.
+    """Compute velocities that resolve the conflicts of all drones.
+
+    Each preferred velocity is first turned a little to the right, so that drones which meet
+    symmetrically do not block each other. The resolution vectors of its conflicts are added. The
+    sum is projected onto the half-spaces of obstacles and the maximum speed. The velocity of a
+    drone that this blocks is turned further to the right, and resolved again.
 
     Args:
         traffic: The traffic around each drone.
@@ -83,7 +88,7 @@ def mvp_velocities(
 def _resolve_conflicts(
     own: Vec3, traffic: Traffic, parameters: AvoidanceParameters, w: int, i: int
 ) -> Vec3:
-    """Return a velocity plus the resolution vectors of all its conflicts, m/s."""
+    """Return a velocity of drone i of world w plus the resolution vectors of its conflicts, m/s."""
     result = own
     for k in range(traffic.known.shape[2]):
         if traffic.known[w, i, k]:
@@ -103,7 +108,10 @@ def resolve_conflict(offset: Vec3, relative: Vec3, parameters: AvoidanceParamete
     The change is perpendicular to the relative velocity and points away from the other drone at the
     closest point of approach. With the distance d, the distance m at the closest point of approach,
     the separation s and the time t to the closest point of approach, its size is (s / cos(asin(s /
-    d) - asin(m / d)) - m) / t.
+    d) - asin(m / d)) - m) / t. In an exactly head-on conflict the change points to the right.
+
+    If the drones are closer than the separation already, the change points straight away from the
+    other drone, and its size is s - d divided by the recovery time.
 
     Args:
         offset: Offset from the drone to the other drone, m.

@@ -88,11 +88,11 @@ def _add_drone_half_spaces(
     w: int,
     i: int,
 ) -> int:
-    """Write the half-spaces of all drones within reach; return their number."""
+    """Write the half-spaces of all drones that are near enough to matter; return their number."""
     own = vec3(traffic.velocity, w, i)
-    reach = parameters.separation + 2.0 * parameters.max_speed * parameters.horizon
+    max_distance = parameters.separation + 2.0 * parameters.max_speed * parameters.horizon
     count = 0
-    for k in range(find_nearest_drones(traffic, w, i, reach, near, distance)):
+    for k in range(find_nearest_drones(traffic, w, i, max_distance, near, distance)):
         offset = vec3(traffic.offset[w], i, near[k])
         other_velocity = vec3(traffic.other_velocity[w], i, near[k])
         # Reciprocal avoidance: each drone performs half.

@@ -60,7 +60,7 @@ class PathFollower(Policy):
     The map contains the buildings at the start of the episode; other obstacles are not considered.
     If there is no path, the drone flies straight.
 
-    Living drones repel each other as in policy `potential`, but never more than the correction
+    Active drones repel each other as in policy `potential`, but never more than the correction
     towards the path at HALF_WIDTH from it, so that avoiding buildings has priority over avoiding
     drones.
     """

@@ -77,7 +77,7 @@ def make_field(aviary: Aviary, surfaces: float = SURFACES) -> Field:
 
 @register("policy")
 class PotentialField(Policy):
-    """Flight to the goal with repulsion from living drones, obstacles and the ground.
+    """Flight to the goal with repulsion from active drones, obstacles and the ground.
 
     Obstacles are represented by their bounding spheres. A drone may get stuck in a local minimum,
     where attraction and repulsion cancel. The policy does not land.
@@ -112,7 +112,7 @@ def repulsion(
     obstacle_radius: np.ndarray,
     field: Field,
 ) -> np.ndarray:
-    """Compute the repulsive velocities away from living drones, obstacles and the ground.
+    """Compute the repulsive velocities away from active drones, obstacles and the ground.
 
     Distances between drones are measured between centres, as in d_safe; all other distances between
     surfaces.

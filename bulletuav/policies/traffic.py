@@ -75,12 +75,12 @@ class ObstacleClearance(NamedTuple):
     Attributes:
         body: Radius of a drone, m: distance to the ground and to the bounds of the arena.
         margin: Additional distance to spheres and buildings, m.
-        reach: Distance beyond which buildings are ignored, m.
+        max_distance: Distance beyond which buildings are ignored, m.
     """
 
     body: float
     margin: float
-    reach: float
+    max_distance: float
 
 
 def tabulate_buildings(layouts: Sequence[Solids]) -> Buildings:
@@ -223,7 +223,7 @@ def _near_buildings(
     w: int,
     i: int,
 ) -> int:
-    """Write the surfaces of pieces within reach to `out` if they fit; return their number."""
+    """Write the surfaces of near pieces to `out` if they fit; return their number."""
     if layout[w] < 0:
         return 0
     here = vec3(position, w, i)
@@ -232,7 +232,7 @@ def _near_buildings(
         # The bounding box is a fast test of the distance
         low = point(buildings.low, p)
         high = point(buildings.high, p)
-        if distance_from_box(here, low, high) > clearance.reach:
+        if distance_from_box(here, low, high) > clearance.max_distance:
             continue
         # Count all pieces, so that the caller can allocate the rows
         if count < out.shape[0]:

@@ -88,9 +88,9 @@ def _add_cell_half_spaces(
 ) -> int:
     """Write the half-spaces of a drone's cell; return their number."""
     # Drones beyond this distance cannot be reached within the braking time
-    reach = parameters.separation + 2.0 * parameters.max_speed * parameters.braking_time
+    max_distance = parameters.separation + 2.0 * parameters.max_speed * parameters.braking_time
     count = 0
-    for k in range(find_nearest_drones(traffic, w, i, reach, near, distance)):
+    for k in range(find_nearest_drones(traffic, w, i, max_distance, near, distance)):
         space = voronoi_half_space(vec3(traffic.offset[w], i, near[k]), parameters)
         count = add_half_space(rows, count, space, parameters.max_speed)
     return count

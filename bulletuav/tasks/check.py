@@ -130,8 +130,8 @@ def check_arena(task: Task[Any], config: Any, radius: float) -> None:
     if task.rebound is not None:
         finite(f"rebound of task {task.name!r}", task.rebound, 0, 1)
     # Worlds are side by side on tiles, with parked bodies above them
-    reach = float(np.abs(arena[:, :2]).max())
-    if 2 * (reach + radius) >= TILE_PITCH or arena[1, 2] >= PARKING_HEIGHT:
+    half_side = float(np.abs(arena[:, :2]).max())
+    if 2 * (half_side + radius) >= TILE_PITCH or arena[1, 2] >= PARKING_HEIGHT:
         sizes = {
             field.name: getattr(config, field.name)
             for field in dataclasses.fields(config)
@@ -139,7 +139,7 @@ def check_arena(task: Task[Any], config: Any, radius: float) -> None:
         }
         large = [f"{name} {size:g}" for name, size in sizes.items() if size >= LARGE]
         raise ValueError(
-            f"the arena reaches {reach:g} m aside and {arena[1, 2]:g} m up: less than "
+            f"the arena reaches {half_side:g} m aside and {arena[1, 2]:g} m up: less than "
             f"{TILE_PITCH / 2:g} and "
             f"{PARKING_HEIGHT:g} m are needed, where other worlds begin; lower "
             f"{' or '.join(large) or 'num_drones'}"

@@ -37,7 +37,7 @@ class Converge(GoalFlight[ConvergeConfig]):
     goal of each drone is the opposite point of the circle.
 
     Observation, Box(55) per drone with the defaults, in world axes (east, north, up): position,
-    velocity, direction and distance of the goal, the nearest living drones, and the nearest
+    velocity, direction and distance of the goal, the nearest active drones, and the nearest
     obstacles. Drones and obstacles are relative to the drone, sorted by distance, and padded with
     zeros.
 

@@ -61,11 +61,11 @@ class Coverage(Task[CoverageConfig]):
     """Drones spread over a city to see as much of its streets as possible.
 
     Drones start at rest at random positions outdoors, at heights of 20 to 60 m. The ground outdoors
-    is divided into squares of 10 m. A square is covered if at least one living drone sees its
+    is divided into squares of 10 m. A square is covered if at least one active drone sees its
     centre, 1.5 m above the ground.
 
     Observation, Box(29) per drone with the defaults, in world axes (east, north, up): position,
-    velocity, battery charge, the nearest living drones, and the fraction of the squares that the
+    velocity, battery charge, the nearest active drones, and the fraction of the squares that the
     drone itself sees. Neighbours are relative to the drone, sorted by distance, and padded with
     zeros.
 
@@ -177,7 +177,7 @@ class Coverage(Task[CoverageConfig]):
         return {**super().quantities(), **own}
 
     def _served(self, frame: Frame) -> np.ndarray:
-        """Compute the fraction of squares seen by at least one living drone, (W, N)."""
+        """Compute the fraction of squares seen by at least one active drone, (W, N)."""
         return get_served_fraction(self, frame)
 
     def info(self, frame: Frame) -> dict[str, np.ndarray]:
@@ -189,7 +189,7 @@ class Coverage(Task[CoverageConfig]):
         return compute_seen_fraction(frame.seen, self.active_targets(frame.scene)[:, None])
 
     def _drones_too_near(self, frame: Frame) -> np.ndarray:
-        """Count the other living drones closer than `min_separation`, (W, N)."""
+        """Count the other active drones closer than `min_separation`, (W, N)."""
         distance = np.linalg.norm(pair_offsets(frame.after.position), axis=-1)
         is_near = distance < self.config.min_separation
         is_other = frame.alive[:, None] & ~np.eye(self.context.num_drones, dtype=bool)

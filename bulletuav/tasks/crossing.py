@@ -42,7 +42,7 @@ class Crossing(GoalFlight[CrossingConfig]):
     drone has its own lane, with its goal straight ahead.
 
     Observation, Box(55) per drone with the defaults, in world axes (east, north, up): position,
-    velocity, direction and distance of the goal, the nearest living drones, and the nearest
+    velocity, direction and distance of the goal, the nearest active drones, and the nearest
     obstacles. Drones and obstacles are relative to the drone, sorted by distance, and padded with
     zeros.
 
@@ -120,9 +120,9 @@ class Crossing(GoalFlight[CrossingConfig]):
                 f"altitude {config.altitude:g} m is too low "
                 f"for altitude_spread {config.altitude_spread:g} m"
             )
-        reach = max(config.half_length + depth, width) + config.margin
-        self.arena_low = np.array([-reach, -reach, 0.0])
-        self.arena_high = np.array([reach, reach, config.altitude + rise + config.margin])
+        half_side = max(config.half_length + depth, width) + config.margin
+        self.arena_low = np.array([-half_side, -half_side, 0.0])
+        self.arena_high = np.array([half_side, half_side, config.altitude + rise + config.margin])
 
     def _places(self) -> tuple[np.ndarray, np.ndarray]:
         """Return starts and goals, (N, 3) each, m, without altitudes and jitter."""

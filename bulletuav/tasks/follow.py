@@ -178,10 +178,10 @@ class Follow(Task[FollowConfig]):
         self._check_start(target)
         check_start_distance(config.max_distance, config.start_offset)
         half_circle = 2 * config.target_speed**2 / TURN_ACCELERATION
-        reach = config.arena + half_circle + config.distance + config.max_distance
+        half_side = config.arena + half_circle + config.distance + config.max_distance
         top = self._height + target.station_height + config.max_distance
-        self.arena_low = np.array([-reach, -reach, 0.0])
-        self.arena_high = np.array([reach, reach, top])
+        self.arena_low = np.array([-half_side, -half_side, 0.0])
+        self.arena_high = np.array([half_side, half_side, top])
 
     def _check_start(self, target: FollowTarget) -> None:
         """Check that starts cannot touch each other, the target or the ground."""

@@ -22,9 +22,9 @@ from bulletuav.tasks.parts.formations import Course, Leader, in_world, off_place
 
 
 @reward
-def approach(way: float, way_before: float) -> float:
+def approach(remaining_distance: float, remaining_distance_before: float) -> float:
     """Decrease of the distance to the place, m, including the motion of the place."""
-    return way_before - way
+    return remaining_distance_before - remaining_distance
 
 
 def leader_labels(task: Any) -> tuple[Label, ...]:
@@ -52,7 +52,7 @@ class Formation(GoalFlight[FormationConfig]):
 
     Observation, Box(61) per drone with the defaults, in world axes (east, north, up): position,
     velocity, direction and distance of the place, the place's velocity, the leader's velocity and
-    turn rate, the nearest living drones, and the nearest obstacles. Drones and obstacles are
+    turn rate, the nearest active drones, and the nearest obstacles. Drones and obstacles are
     relative to the drone, sorted by distance, and padded with zeros.
 
     Action, by default `velocity`, Box(3) per drone in [-1, 1]: commanded velocity divided by
@@ -75,10 +75,10 @@ class Formation(GoalFlight[FormationConfig]):
 
     Success: the drone is at its place.
 
-    Infos: `formation_error` is the root mean square of the living drones' distances from their
+    Infos: `formation_error` is the root mean square of the active drones' distances from their
     places. `shape_error` is the residual after the optimal translation and rotation of the shape.
     `in_place` is the fraction of the time for which the drone was at its place. `time_to_form` is
-    the time from the last change of shape or places until all living drones were at their places
+    the time from the last change of shape or places until all active drones were at their places
     simultaneously, s; until then it is the time since the change.
     """
 
@@ -170,8 +170,8 @@ class Formation(GoalFlight[FormationConfig]):
         config = self.config
         every = np.concatenate([self._block, *self.plan.shapes])
         extent = float(np.linalg.norm(every[:, :2], axis=1).max())
-        reach = self.course.reach + extent
-        self.arena_low, self.arena_high = circle_arena(config, self.context, reach)
+        radius = self.course.radius + extent
+        self.arena_low, self.arena_high = circle_arena(config, self.context, radius)
         self.arena_high[2] += every[:, 2].max()
         lowest = config.altitude + float(every[:, 2].min())
         if lowest <= self.context.collision_radius:
@@ -258,7 +258,7 @@ class Formation(GoalFlight[FormationConfig]):
         super().update_memory(frame, rngs)
 
     def _reassign_places(self, frame: Frame, w: int, rng: np.random.Generator) -> None:
-        """Reassign places to a world's living drones if the shape or the assignment changes."""
+        """Reassign places to a world's active drones if the shape or the assignment changes."""
         now, memory = frame.time[w], frame.scene.memory
         due = self.plan.due(now, self.context.period)
         if not any(due):

@@ -140,7 +140,7 @@ class GoalFlight(Task[FlightConfigT], Generic[FlightConfigT]):
       bounding sphere to 1 at contact.
     - out_of_bounds -50: 1 outside the arena.
     - energy -0.01: squared change of velocity, (m/s)^2.
-    - efficiency 0: 1 - d / d0, where d is the distance to the goal and d0 that at the start.
+    - efficiency 0: 1 - d / d0, where d is the remaining distance and d0 that at the start.
     - speed_keeping 0: 1 at a speed between 0.3 and 0.8 of max_speed.
     - time -0.5: 1 per decision until the goal is reached; if the episode ends otherwise, also 1 per
       remaining decision.
@@ -239,9 +239,9 @@ class GoalFlight(Task[FlightConfigT], Generic[FlightConfigT]):
             **others: Other fields of the start.
         """
         (slowest, fastest), limit = self.config.start_speed, self.context.max_speed
-        velocity, ways = np.empty(start.shape), goal - start if along is None else along
+        velocity, directions = np.empty(start.shape), goal - start if along is None else along
         speeds = (float(min(slowest, limit)), float(min(fastest, limit)))
-        draw_velocities(get_random_source(rng), *speeds, ways, velocity)
+        draw_velocities(get_random_source(rng), *speeds, directions, velocity)
         return Spawn(position=start, goal=goal, **{**others, "velocity": velocity})
 
     def memory(self) -> Mapping[str, tuple[int, ...]]:
@@ -250,11 +250,11 @@ class GoalFlight(Task[FlightConfigT], Generic[FlightConfigT]):
         Returns:
             "reached" (N,), time at which a drone first reached its goal (the last time if goals
             respawn), s, 0 before. "goals" (N,), number of goals reached if they respawn.
-            "first_way" (N,), distance to the goal at the start, m. "encounter" and "effort" (N, N),
-            see `bulletuav.tasks.rewards.airspace.update_encounters`.
+            "initial_distance" (N,), remaining distance at the start, m. "encounter" and "effort"
+            (N, N), see `bulletuav.tasks.rewards.airspace.update_encounters`.
         """
         drones = self.context.num_drones
-        shapes = {"reached": (drones,), "first_way": (drones,), **super().memory()}
+        shapes = {"reached": (drones,), "initial_distance": (drones,), **super().memory()}
         if self.weights.get("concession"):
             shapes["encounter"] = (drones, drones)
             shapes["effort"] = (drones, drones)
@@ -264,17 +264,17 @@ class GoalFlight(Task[FlightConfigT], Generic[FlightConfigT]):
         """Return the remaining distances before and after the decision, and obstacle proximity."""
         return {
             **super().quantities(),
-            "way": self.way,
-            "way_before": self.way_before,
+            "remaining_distance": self.remaining_distance,
+            "remaining_distance_before": self.remaining_distance_before,
             "obstacle_nearness": self._obstacle_nearness,
         }
 
     def _obstacle_nearness(self, frame: Frame) -> np.ndarray:
-        """Sum over obstacles the depth of each drone within d_safe, (W, N)."""
+        """Return the sum over obstacles of their proximity, (W, N); see `sum_obstacle_nearness`."""
         nearness = np.empty(frame.alive.shape)
-        reach = self.field.radius + self.context.collision_radius
+        contact_distance = self.field.radius + self.context.collision_radius
         place, d_safe = frame.scene.obstacle, float(frame.d_safe)
-        sum_obstacle_nearness(frame.after.position, place, reach, d_safe, nearness)
+        sum_obstacle_nearness(frame.after.position, place, contact_distance, d_safe, nearness)
         return nearness
 
     def move_scene(self, scene: Scene, time: np.ndarray, flying: np.ndarray, rngs: Rngs) -> bool:
@@ -291,15 +291,15 @@ class GoalFlight(Task[FlightConfigT], Generic[FlightConfigT]):
         left: np.ndarray = goal[..., 2]
         return left
 
-    def way(self, frame: Frame) -> np.ndarray:
+    def remaining_distance(self, frame: Frame) -> np.ndarray:
         """Compute the remaining distance to the goal, plus its remaining descent, (W, N) m."""
         return frame.distance + self._descent(frame.scene.goal)
 
-    def way_before(self, frame: Frame) -> np.ndarray:
-        """Compute `way` before the decision, (W, N) m."""
-        way: np.ndarray = paired_distances(frame.goal_before, frame.before.position)
-        way += self._descent(frame.goal_before)
-        return way
+    def remaining_distance_before(self, frame: Frame) -> np.ndarray:
+        """Compute `remaining_distance` before the decision, (W, N) m."""
+        distance: np.ndarray = paired_distances(frame.goal_before, frame.before.position)
+        distance += self._descent(frame.goal_before)
+        return distance
 
     def arrived(self, frame: Frame) -> np.ndarray:
         """Return which drones are within `goal_radius` of their goals, (W, N) bool."""
@@ -310,8 +310,10 @@ class GoalFlight(Task[FlightConfigT], Generic[FlightConfigT]):
         super().update_memory(frame, rngs)
         memory = frame.scene.memory
         # Zero before the first decision of an episode
-        first_way = memory["first_way"]
-        np.copyto(first_way, self.way_before(frame), where=first_way == 0)
+        initial_distance = memory["initial_distance"]
+        np.copyto(
+            initial_distance, self.remaining_distance_before(frame), where=initial_distance == 0
+        )
         # A goal is reached once, without collision
         is_first = memory["reached"] == 0
         has_reached = self.arrived(frame) & frame.alive & ~frame.collision & is_first
@@ -413,5 +415,5 @@ class GoalFlight(Task[FlightConfigT], Generic[FlightConfigT]):
         """Compute `fairness`, which compares the weighted sums of the other terms."""
         weighted = (self.weights[name] * term for name, term in terms.items())
         total = sum(weighted, np.zeros(frame.alive.shape))
-        reach = self.config.fairness_range
-        return {"fairness": variance_nearby(total, frame.after.position, frame.alive, reach)}
+        max_distance = self.config.fairness_range
+        return {"fairness": variance_nearby(total, frame.after.position, frame.alive, max_distance)}

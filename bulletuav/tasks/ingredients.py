@@ -1,6 +1,7 @@
 """Reward terms, end conditions and observation blocks as functions with named arguments.
 
-The names of a function's arguments select its inputs. A function of one drone's numbers is compiled
+Ingredients are functions decorated with @reward, @end or @block. The names of a function's
+arguments select its inputs. A per-drone function, whose inputs are those of one drone, is compiled
 and called for every drone:
 
     @reward
@@ -36,12 +37,18 @@ Ingredient = TypeVar("Ingredient", bound=Callable[..., Any])
 ALL = "all_"
 WHOLE = "frame"
 """Argument of functions that process all drones at once"""
+FORMER_NAMES = {
+    "way": "remaining_distance",
+    "way_before": "remaining_distance_before",
+    "first_way": "initial_distance",
+}
+"""Present name of each renamed argument, for messages"""
 PRESENT = "present"
-"""Argument of blocks: whether each drone is still present after the frame"""
+"""Argument of blocks: whether each drone is active after the decision"""
 
 
 def reward(function: Ingredient) -> Ingredient:
-    """Mark a function of one drone's numbers as a reward term; the function itself is unchanged.
+    """Mark a per-drone function as a reward term; the function itself is unchanged.
 
     The term is reported, weighted or unweighted, by the function's name. An undecorated function of
     `frame` that returns (W, N) is a reward term, too.
@@ -60,7 +67,7 @@ def block(
     """Return a decorator that marks a function as an observation block.
 
     Args:
-        labels: One `Label` per number of the block, or a function of the task that returns them.
+        labels: One `Label` per feature of the block, or a function of the task that returns them.
 
     Returns:
         The decorator. The function returns a number for one label, a tuple of one number per label,
@@ -162,9 +169,10 @@ class Binding:
             return ArgumentSource(lambda frame: number)
         known = {*FIELDS, *self.readings, *self.memory, *self.quantities, *self.events}
         choices = {*known, *(ALL + one for one in known), *self.numbers, "i", "out", PRESENT, WHOLE}
+        present = (ALL if whole_world else "") + FORMER_NAMES.get(key, key)
         raise ValueError(
             f"{title} of task {self.task!r} asks for {name!r}, which is no field, reading, memory "
-            f"or number of the task: {suggest_names(name, choices)}"
+            f"or number of the task: {suggest_names(present, choices)}"
         )
 
 
@@ -201,7 +209,7 @@ class Bound:
             binding: Sources by argument name.
             title: Name of the ingredient in messages, such as "reward term 'progress'".
             dtype: NumPy dtype of the result.
-            labels: Numbers per drone, for a block; None for one number (W, N).
+            labels: Features per drone, for a block; None for one number (W, N).
 
         Raises:
             ValueError: If the ingredient is no function, or an argument name is unknown.
@@ -254,7 +262,7 @@ class Bound:
         self._run(frame, out)
 
     def _check_first(self, frame: Frame, out: np.ndarray) -> None:
-        """Check that a block's numbers are finite; rewards are checked in every decision."""
+        """Check that the features of a block are finite; rewards are checked in every decision."""
         if self._labels is not None and not np.isfinite(out[frame.alive]).all():
             raise ValueError(f"{self._title} gave {shown(out)}: finite numbers are needed")
 

@@ -1,4 +1,4 @@
-"""Loops over all drones of all worlds, generated for a function of one drone's numbers.
+"""Loops over all drones of all worlds, generated for a per-drone function.
 
 The loops of the package's own ingredients are written to files in the folder of compiled kernels,
 so that numba caches their machine code. Loops of user functions are compiled in each process.
@@ -37,7 +37,7 @@ def make_loop(
     """Compile a loop that evaluates a function for each drone and stores the results.
 
     Args:
-        function: Function of one drone's numbers.
+        function: Per-drone function.
         forms: Name and form of each of its arguments.
         results: 0 for one number in `out` (W, N); k for k numbers in `out` (W, N, k); None if the
             function itself writes to its argument `out`.

@@ -28,7 +28,7 @@ class Los(UserService[LosConfig]):
     still outdoors.
 
     Observation, Box(108) per drone with the defaults, in world axes (east, north, up): position,
-    velocity, battery charge, the nearest living drones, and the users. Drones are relative to the
+    velocity, battery charge, the nearest active drones, and the users. Drones are relative to the
     drone, sorted by distance, and padded with zeros. Users are relative to the drone, each with a
     flag that is 1 if the drone sees the user.
 

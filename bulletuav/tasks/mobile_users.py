@@ -29,7 +29,7 @@ class MobileUsers(UserService[MobileUsersConfig]):
     Observation, Box(68) per drone with the defaults, in world axes (east, north, up): position,
     battery charge, horizontal centroid of all users, horizontal centroid of the drone's own users,
     and which drone sees which user. The drone's own users are those that are horizontally closer to
-    it than to other living drones, or all users if there are none. The matrix of visibility starts
+    it than to other active drones, or all users if there are none. The matrix of visibility starts
     with the row of the drone itself, followed by those of the other drones by index.
 
     Action, by default `velocity`, Box(3) per drone in [-1, 1]: commanded velocity divided by

@@ -27,7 +27,7 @@ class Navigation(GoalFlight[NavigationConfig]):
 
     Observation, Box(38) per drone with the defaults, in world axes (east, north, up): position,
     velocity, direction and distance of the goal, battery charge, distances to the city's edges, its
-    ceiling and the ground up to 60 m (see `room`), and the nearest living drones. Neighbours are
+    ceiling and the ground up to 60 m (see `room`), and the nearest active drones. Neighbours are
     relative to the drone, sorted by distance, and padded with zeros.
 
     Action, by default `velocity`, Box(3) per drone in [-1, 1]: commanded velocity divided by

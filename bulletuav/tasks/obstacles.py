@@ -37,7 +37,7 @@ class Obstacles(GoalFlight[ObstaclesConfig]):
     55 m. Every second obstacle is a cube, the others are spheres; all are solid.
 
     Observation, Box(55) per drone with the defaults, in world axes (east, north, up): position,
-    velocity, direction and distance of the goal, the nearest living drones, and the nearest
+    velocity, direction and distance of the goal, the nearest active drones, and the nearest
     obstacles. Drones and obstacles are relative to the drone, sorted by distance, and padded with
     zeros. Obstacles are sorted by the distance to their bounding spheres.
 

@@ -43,9 +43,11 @@ class PursuitConfig(AirspaceOptions, FlightConfig):
 
 
 @reward
-def lap(way: float, way_before: float, radius: float, laps: int) -> float:
+def lap(
+    remaining_distance: float, remaining_distance_before: float, radius: float, laps: int
+) -> float:
     """Decrease of the remaining distance, by track and to the goal, as a fraction of all laps."""
-    return (way_before - way) / (2 * np.pi * radius * laps)
+    return (remaining_distance_before - remaining_distance) / (2 * np.pi * radius * laps)
 
 
 @register("task")
@@ -57,7 +59,7 @@ class Pursuit(GoalFlight[PursuitConfig]):
     the goal is no success. Drone 0 leads and is the slowest.
 
     Observation, Box(58) per drone with the defaults, in world axes (east, north, up): position,
-    velocity, direction and distance of the goal, the goal's velocity, the nearest living drones,
+    velocity, direction and distance of the goal, the goal's velocity, the nearest active drones,
     and the nearest obstacles. Drones and obstacles are relative to the drone, sorted by distance,
     and padded with zeros.
 
@@ -156,14 +158,14 @@ class Pursuit(GoalFlight[PursuitConfig]):
             time: (...) time since the start, s.
         """
         radius = self.config.radius
-        way = self._pace * np.asarray(time)[..., None]
+        distance = self._pace * np.asarray(time)[..., None]
         # Clockwise from each drone's place in the queue, until the laps are complete
         queue = np.arange(len(self._pace)) * self.config.spacing
-        angle = (queue - np.minimum(way, self._track_length)) / radius
+        angle = (queue - np.minimum(distance, self._track_length)) / radius
         zero = np.zeros_like(angle)
         circle = radius * np.stack([cos(angle), sin(angle), zero], axis=-1)
         place = circle + np.array((0.0, 0.0, self.config.altitude))
-        pace = np.where(way < self._track_length, self._pace, 0.0)[..., None]
+        pace = np.where(distance < self._track_length, self._pace, 0.0)[..., None]
         velocity = pace * np.stack([sin(angle), -cos(angle), zero], axis=-1)
         return place, velocity
 
@@ -178,7 +180,8 @@ class Pursuit(GoalFlight[PursuitConfig]):
 
         Returns:
             "conflicts" (N,), number of conflicts; "swept" (N,), angle flown around the centre,
-            clockwise, rad; "laps_left", "laps_left_before" (N,), remaining distance as in `way`, m.
+            clockwise, rad; "laps_left", "laps_left_before" (N,), see `remaining_distance`,
+            m.
         """
         own = ("conflicts", "swept", "laps_left", "laps_left_before")
         return {**super().memory(), **dict.fromkeys(own, (self.context.num_drones,))}
@@ -203,14 +206,14 @@ class Pursuit(GoalFlight[PursuitConfig]):
         """Update the remaining distances: along the track, and to the goal."""
         memory = frame.scene.memory
         angle = np.maximum(2 * np.pi * self.config.laps - memory["swept"], 0.0)
-        memory["laps_left"][:] = self.config.radius * angle + super().way(frame)
+        memory["laps_left"][:] = self.config.radius * angle + super().remaining_distance(frame)
 
-    def way(self, frame: Frame) -> np.ndarray:
+    def remaining_distance(self, frame: Frame) -> np.ndarray:
         """Return the remaining distance: the laps along the track, and to the goal, (W, N) m."""
         return frame.scene.memory["laps_left"]
 
-    def way_before(self, frame: Frame) -> np.ndarray:
-        """Return `way` before the decision, (W, N) m."""
+    def remaining_distance_before(self, frame: Frame) -> np.ndarray:
+        """Return `remaining_distance` before the decision, (W, N) m."""
         return frame.scene.memory["laps_left_before"]
 
     def move_scene(self, scene: Scene, time: np.ndarray, flying: np.ndarray, rngs: Rngs) -> bool:

@@ -20,9 +20,9 @@ from bulletuav.tasks.parts.race_course import RaceConfig, RaceCourse
 
 
 @reward
-def progress(way: float, way_before: float) -> float:
+def progress(remaining_distance: float, remaining_distance_before: float) -> float:
     """Decrease of the remaining distance to the finish, from gate to gate, m."""
-    return way_before - way
+    return remaining_distance_before - remaining_distance
 
 
 @reward
@@ -61,7 +61,7 @@ class Race(Task[RaceConfig]):
 
     Observation, Box(48) per drone with the defaults: velocity in body axes (forward, left, up);
     attitude as a quaternion, body to world; the next two gates in body axes: position, direction to
-    fly, velocity, width of the opening; the nearest living drones, in world axes.
+    fly, velocity, width of the opening; the nearest active drones, in world axes.
 
     Action, by default `velocity`, Box(3) per drone in [-1, 1]: commanded velocity divided by
     max_speed = 15 m/s, in world axes. Its norm is limited to max_speed. There are 20 decisions a
@@ -190,16 +190,15 @@ class Race(Task[RaceConfig]):
                 gate to the next, m. Of drones: "passed" (N,), number of gates; "split" (N, laps G),
                 time of passing each gate, s; "passing", "missing", "overtaken" (N,), see
                 `bulletuav.tasks.parts.gates`; "missed", "overtakes", "contacts" (N,), totals;
-                "touching" (N,), whether a contact persists; "way", "way_before" (N,), remaining
-                distance to the finish, m; "rank", "rank_before" (N,).
+                "touching" (N,), whether a contact persists; "remaining_distance",
+                "remaining_distance_before" (N,), to the finish, m; "rank", "rank_before" (N,).
         """
         gates, drones = self.course.gates, (self.context.num_drones,)
         of_gates = {"gate": (3,), "gate_before": (3,), "gate_velocity": (3,), "gate_axis": (3, 3)}
         of_gates |= {"gate_size": (), "gate_phase": (), "leg": ()}
         counts = ("passed", "passing", "missing", "missed", "overtaken", "overtakes", "contacts")
-        of_drones = dict.fromkeys(
-            (*counts, "touching", "way", "way_before", "rank", "rank_before"), drones
-        )
+        measures = ("remaining_distance", "remaining_distance_before", "rank", "rank_before")
+        of_drones = dict.fromkeys((*counts, "touching", *measures), drones)
         shapes = {name: (gates, *shape) for name, shape in of_gates.items()}
         return {**shapes, **of_drones, "split": (*drones, self.turns)}
 
@@ -211,7 +210,7 @@ class Race(Task[RaceConfig]):
         """Compute the remaining distances and ranks at the start."""
         memory = frame.scene.memory
         self._update_distances(frame)
-        memory["way_before"][:] = memory["way"]
+        memory["remaining_distance_before"][:] = memory["remaining_distance"]
 
     def move_scene(self, scene: Scene, time: np.ndarray, flying: np.ndarray, rngs: Rngs) -> bool:
         """Move oscillating gates, and goals with them.
@@ -238,10 +237,10 @@ class Race(Task[RaceConfig]):
         """Update the remaining distances, the ranks and the numbers of drones overtaken."""
         memory = frame.scene.memory
         gates = (memory["passed"], memory["gate"], memory["leg"], self.turns)
-        compute_remaining_distances(frame.after.position, *gates, memory["way"])
+        compute_remaining_distances(frame.after.position, *gates, memory["remaining_distance"])
         last = memory["split"][..., -1]
         order = (memory["rank"], memory["rank_before"], memory["overtaken"])
-        rank_drones(memory["way"], last, frame.alive, *order)
+        rank_drones(memory["remaining_distance"], last, frame.alive, *order)
 
     def update_memory(self, frame: Frame, rngs: Rngs) -> None:
         """Update passed gates, ranks, and numbers of missed gates and contacts."""
@@ -262,7 +261,7 @@ class Race(Task[RaceConfig]):
             memory["passing"],
             memory["missing"],
         )
-        memory["way_before"][:] = memory["way"]
+        memory["remaining_distance_before"][:] = memory["remaining_distance"]
         self._update_distances(frame)
         memory["missed"][:] += memory["missing"]
         memory["overtakes"][:] += memory["overtaken"]

@@ -13,7 +13,7 @@ SERVED = "served share"
 
 
 def get_served_fraction(task: Task[Any], frame: Frame) -> np.ndarray:
-    """Return the fraction of active targets seen by at least one living drone, cached in the frame.
+    """Return the fraction of active targets seen by at least one active drone, cached in the frame.
 
     Args:
         task: The task, with targets.
@@ -46,7 +46,7 @@ def compute_seen_fraction(seen: np.ndarray, active: np.ndarray) -> np.ndarray:
 
 @allocating
 def compute_served_fraction(sight: np.ndarray, alive: np.ndarray, active: np.ndarray) -> np.ndarray:
-    """Compute the fraction of active targets seen by at least one living drone.
+    """Compute the fraction of active targets seen by at least one active drone.
 
     Args:
         sight: (W, N, U) bool.

@@ -122,7 +122,7 @@ class Trial(NamedTuple):
     Attributes:
         number: Index of the trial, from 0.
         values: Values of the varied settings by name.
-        result: Metric of the last evaluation; NaN if the trial failed.
+        result: Metric of the last evaluation; not finite if the trial failed.
         error: Reason of the failure; empty if the trial succeeded.
         folder: Folder of the run.
     """
@@ -158,8 +158,9 @@ def run_study(
         The trials in order.
 
     Raises:
-        FolderError: If the folder has another study, or is locked by another process.
-        ValueError: If all trials failed.
+        FolderError: If the folder has another study, is locked by another process, or is not
+            writable.
+        ValueError: If a setting or `workers` is invalid, or all trials failed.
         ImportError: If the extra `tune` or `sb3` is not installed.
     """
     # Imported here, as these modules need extras
@@ -207,13 +208,17 @@ def trial_conditions(study: Study, trial: Trial) -> Conditions:
 
 
 def _write_settings(study: Study, folder: Path) -> None:
-    """Write the settings, or check that they match those in the folder."""
+    """Write the settings, after checking that they match those in the folder except for `trials`.
+
+    Raises:
+        FolderError: If the folder has another study.
+    """
     path = folder / STUDY
     if path.exists():
         # Trust only modules that the study itself names
         known = Study.read(path, MODULE_NAME.search(study.text()) is not None)
         if dataclasses.replace(known, trials=study.trials).text() != study.text():
-            raise ValueError(
+            raise FolderError(
                 f"{folder} holds another study: see its {STUDY}; choose another folder"
             )
     replace_file(path, study.text())
@@ -223,7 +228,7 @@ def _run_folder(folder: Path, number: int) -> Path:
     return folder / RUNS / f"{number:03d}"
 
 
-def _submit(pool: Executor, study: Study, values: Mapping[str, Any], place: Path) -> Future[Any]:
+def _submit(pool: Executor, study: Study, values: Mapping[str, Any], folder: Path) -> Future[Any]:
     """Start a trial; a trial with an invalid combination of settings fails immediately."""
     try:
         config = with_values(study.run, values)
@@ -232,11 +237,11 @@ def _submit(pool: Executor, study: Study, values: Mapping[str, Any], place: Path
         future.set_exception(error)
         return future
     with block_interrupts():
-        return pool.submit(train_in_process, config, place)
+        return pool.submit(train_in_process, config, folder)
 
 
 def _outcome(future: Future[list[Row]], metric: str) -> tuple[float, str]:
-    """Wait for a trial, and return its result, or NaN and the reason of the failure."""
+    """Wait for a trial, and return its result, not finite if it failed, and the reason."""
     # Other errors, such as a full disk, are not due to the settings, and end the study
     try:
         result = float(future.result()[-1][metric])

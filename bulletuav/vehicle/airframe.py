@@ -112,7 +112,7 @@ class Airframe:
         max_rotor_speed: Maximum rotor speed, rad/s.
         lag_up: Time constant of a rotor that speeds up, s; 0 for no lag.
         lag_down: Time constant of a rotor that slows down, s; 0 for no lag.
-        drag_xy: Drag of a rotor across its axis, per m/s and rad/s, N.
+        drag_xy: Drag of a rotor across its axis, N / (m/s rad/s).
         drag_z: Drag of a rotor along its axis, per m/s and rad/s, N.
         drag_height: Height above the centre of mass at which the rotors' drag acts, m.
         propeller_radius: Radius of the propellers, m.

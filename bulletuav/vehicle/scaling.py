@@ -1,7 +1,7 @@
 """Default constants of airframes without measurements, scaled from those of the Crazyflie.
 
 Rotors of the same shape and disc loading are similar: lengths scale with the propeller's radius,
-forces with the weight.
+except the radius of the wake, which scales with the length of the arms. Ratios do not change.
 """
 
 import math
@@ -34,16 +34,22 @@ EFFICIENCY = 0.6
 
 
 class Scaled(NamedTuple):
-    """Scaled constants; `Airframe` documents them."""
+    """Scaled constants.
+
+    Attributes:
+        ground_effect: Height above which there is none, m; and gain, see `GROUND_EFFECT_GAIN`.
+        wake: Radius at the rotors, m; fraction of the thrust, see `WAKE_SHARE`; and growth of the
+            width per distance below.
+        damping: Damping of rotation about x, y and z, 1/s.
+        body_drag: Drag areas along and across the rotor plane, m^2.
+        power: Efficiency, and power of the electronics, W.
+    """
 
     ground_effect: tuple[float, float]
-    """Reach and gain"""
     wake: tuple[float, float, float]
-    """Radius, share and spread"""
     damping: tuple[float, float, float]
     body_drag: tuple[float, float]
     power: tuple[float, float]
-    """Efficiency, and power of the electronics"""
 
 
 def scaled_constants(
@@ -57,13 +63,14 @@ def scaled_constants(
     """Scale the Crazyflie's constants to another airframe.
 
     A rotor that moves along its axis gains or loses thrust, which damps roll and pitch. Yaw is
-    damped by the rotors' drag only, so the law gives less than was measured on a Crazyflie.
+    damped by the rotors' drag only, so the scaling gives less yaw damping than was measured on a
+    Crazyflie.
 
     Args:
         inertia: Principal moments of inertia, kg m^2.
         rotors: Position x, y (m) and direction of rotation of each rotor.
         thrust_coefficient: k_f, N s^2.
-        drag_xy: Drag of a rotor across its axis, per m/s and rad/s, N.
+        drag_xy: Drag of a rotor across its axis, N / (m/s rad/s).
         propeller_radius: R, m.
         hover_speed: Rotor speed w in hover, rad/s.
 

@@ -247,7 +247,7 @@ def sum_wakes(
     skin: float,
     wakes: Any,
 ) -> None:
-    """Sum the wakes of all living drones of some worlds on each drone.
+    """Sum the wakes of all active drones of some worlds on each drone.
 
     Args:
         swarm: `Swarm`, state of all drones.

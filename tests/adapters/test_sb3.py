@@ -276,6 +276,22 @@ def test_a_reward_that_is_not_finite_is_an_error_and_no_empty_slot():
     env.close()
 
 
+def test_a_seed_waits_for_a_reset_while_single_worlds_start_again():
+    env, other = (DroneVecEnv("converge", 2, **BREAK) for _ in range(2))
+    env.reset()
+    env.seed(5)
+    # The drones of one world leave the arena, and the world starts again
+    for _ in range(100):
+        dones = env.step(np.float32([[1.0, 0.0, 0.0]] * 3 + [[0.0, 0.0, 0.0]] * 3))[2]
+        if dones[:3].all():
+            break
+    assert dones.tolist() == [True] * 3 + [False] * 3
+    other.seed(5)
+    np.testing.assert_array_equal(env.reset(), other.reset())
+    env.close()
+    other.close()
+
+
 def test_levels_that_do_not_fit_are_refused():
     with pytest.raises(ValueError, match="observations have shapes"):
         DroneVecEnv("converge", 2, [{}, {"observation": "goal"}], **CALM)

@@ -306,6 +306,20 @@ def test_setpoints_that_cannot_be_are_told_once_a_second(frame, mask, said, stat
     assert station.mode(OFFBOARD) == REJECTED
 
 
+@pytest.mark.parametrize("mask", [0xDF8, 0xDC7], ids=["position", "velocity"])
+def test_global_setpoints_need_a_global_frame(mask, station):
+    station.take_off()
+    place = (int(47.4 * 1e7), int(8.5 * 1e7), 2.0)
+
+    def send(frame):
+        fields = (0, 1, 1, frame, mask, *place, *[0.5] * 8)
+        return texts(station.send("set_position_target_global_int", *fields))
+
+    assert send(8) == ["frame 8: 0, 3, 5 or 6 is needed"]
+    station.fly(1.1)
+    assert all("frame" not in text for text in send(6))
+
+
 @pytest.mark.parametrize("wrong", [NAN, math.inf, 1e9])
 def test_setpoints_that_are_no_numbers_are_refused(wrong, station):
     assert texts(station.position(wrong, 0, -2))

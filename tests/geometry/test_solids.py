@@ -200,7 +200,7 @@ def test_pieces_at_the_grids_edge_are_found_and_beyond_it_is_nothing():
     )
     city_grid = make_city_grid((Solids(edge),), 1)
     city_grid.layout[:] = 0
-    assert (city_grid.reach, city_grid.cells) == (reach, 8)
+    assert (city_grid.half_side, city_grid.cells) == (reach, 8)
     assert overlaps_piece(city_grid, 0, (reach - 0.5, 0.0, 1.0), (reach + 0.5, 0.0, 1.0))
     assert overlaps_piece(city_grid, 0, (-reach - 9, -reach - 9, 1.0), (-reach, -reach, 1.0))
     assert overlaps_piece(city_grid, 0, (-1e6, -1e6, -1e6), (1e6, 1e6, 1e6))

@@ -51,7 +51,7 @@ def ground(cities):
 
 
 def is_free(ground, layout, points):
-    index = np.floor((points + ground.raster.reach) / ground.raster.cell).astype(int)
+    index = np.floor((points + ground.raster.half_side) / ground.raster.cell).astype(int)
     return ground.raster.free[layout, index[..., 0], index[..., 1]]
 
 
@@ -77,7 +77,7 @@ def test_only_ground_near_walls_and_edges_is_closed(cities, ground, layout):
 def test_places_are_uniform_over_free_ground(ground):
     places = ground.places(np.random.default_rng(3), 2, 40_000)
     count = ground.raster.free.shape[1]
-    column = ((places[:, :2] + ground.raster.reach) // ground.raster.cell).astype(int)
+    column = ((places[:, :2] + ground.raster.half_side) // ground.raster.cell).astype(int)
     for axis in range(2):
         share = ground.raster.free[2].mean(axis=1 - axis) / ground.raster.free[2].mean() / count
         found = np.bincount(column[:, axis], minlength=count)
@@ -85,7 +85,7 @@ def test_places_are_uniform_over_free_ground(ground):
         chi = ((found - expected)[expected > 5] ** 2 / expected[expected > 5]).sum()
         freedom = (expected > 5).sum()
         assert abs(chi - freedom) < 4 * np.sqrt(2 * freedom)
-    within = (places[:, :2] + ground.raster.reach) % ground.raster.cell
+    within = (places[:, :2] + ground.raster.half_side) % ground.raster.cell
     assert within.mean(axis=0) == pytest.approx(0.5, abs=4 / np.sqrt(12 * 40_000))
 
 
@@ -132,7 +132,7 @@ def test_walk_agrees_with_points_along_it(cities, ground, layout):
     for start, way in zip(starts, ways, strict=True):
         x, y, share, axis = move_straight(ground.raster, layout, *start, *way)
         points = start + shares[:, None] * way
-        inside = (np.abs(points) < ground.raster.reach).all(axis=1)
+        inside = (np.abs(points) < ground.raster.half_side).all(axis=1)
         free = inside.copy()
         free[inside] = is_free(ground, layout, points[inside])
         assert free[shares < share].all()
@@ -144,7 +144,7 @@ def test_walk_agrees_with_points_along_it(cities, ground, layout):
         if axis >= 0:
             stopped += 1
             beyond = end + np.sign(way) * np.eye(2)[axis] * 1e-7
-            assert np.abs(beyond).max() >= ground.raster.reach or not is_free(
+            assert np.abs(beyond).max() >= ground.raster.half_side or not is_free(
                 ground, layout, beyond
             )
     assert 60 < stopped < 200

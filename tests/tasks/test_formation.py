@@ -66,7 +66,7 @@ def test_the_leader_flies_the_integral_of_its_velocity(turn):
     # Its way lies about the origin: a straight one of 150 m, a circle of 5 / 0.3 m.
     reach = np.linalg.norm(leader.position[:, :2], axis=1).max()
     assert reach == pytest.approx(75.0 if turn == 0.0 else 5 / 0.3, rel=2e-4)
-    assert course.reach == pytest.approx(reach, rel=2e-4)
+    assert course.radius == pytest.approx(reach, rel=2e-4)
 
 
 def test_a_quarter_turn_by_hand():

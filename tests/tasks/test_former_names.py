@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 
 import bulletuav
+from bulletuav.tasks import find_task
 from bulletuav.tasks.families import FORMER
+from bulletuav.tasks.ingredients import FORMER_NAMES, reward
 
 
 @pytest.mark.parametrize(
@@ -62,3 +64,49 @@ def test_a_task_on_a_family_flies_as_one_on_goal_flight():
     observations, rewards, *_ = env.step({agent: np.ones(3) for agent in env.agents})
     assert all(np.isfinite(reward) for reward in rewards.values())
     env.close()
+
+
+@reward
+def of_way(way):
+    return way
+
+
+@reward
+def of_way_before(way_before):
+    return way_before
+
+
+@reward
+def of_all(all_first_way):
+    return all_first_way[0]
+
+
+@pytest.mark.parametrize("term", [of_way, of_way_before, of_all])
+def test_a_former_argument_is_an_error_that_names_the_present_one(term):
+    (asked,) = term.__code__.co_varnames
+    present = FORMER_NAMES[asked.removeprefix("all_")]
+
+    class Own(find_task("crossing")):
+        name = "own"
+        reward: ClassVar = {"own": (term, 1.0)}
+
+    with pytest.raises(ValueError, match=f"asks for '{asked}', .*did you mean .*{present}'"):
+        bulletuav.Aviary(Own, dynamics="point_mass")
+
+
+def test_every_former_argument_has_a_present_one():
+    @reward
+    def present(remaining_distance, remaining_distance_before, initial_distance):
+        return remaining_distance + remaining_distance_before + initial_distance
+
+    assert set(present.__code__.co_varnames) == set(FORMER_NAMES.values())
+
+    class Own(find_task("crossing")):
+        name = "own"
+        reward: ClassVar = {"own": (present, 1.0)}
+
+    aviary = bulletuav.Aviary(Own, num_drones=2, dynamics="point_mass")
+    aviary.reset(seeds=0)
+    rewards = aviary.step(np.zeros((1, 2, 3))).rewards
+    aviary.close()
+    assert (rewards > 3 * aviary.task.config.goal_radius).all()

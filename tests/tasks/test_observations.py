@@ -5,8 +5,9 @@ import pytest
 
 import bulletuav
 from bulletuav.envs.env_spec import EnvSpec
-from bulletuav.sensors.base import Image
+from bulletuav.sensors.base import Image, Label
 from bulletuav.sensors.suite import known_sensors, reading_labels
+from bulletuav.tasks.ingredients import block
 from bulletuav.tasks.observations.observer import known_observations
 
 CALM = {"dynamics": "point_mass", "randomization": {}}
@@ -112,6 +113,18 @@ def test_normalised_observations_are_the_raw_ones_scaled_from_their_bounds(task)
     assert space.low.max() == -1
     assert space.high.min() == 1
     np.testing.assert_allclose(rows[True], 2 * (rows[False] - low) / (high - low) - 1, atol=1e-6)
+
+
+@pytest.mark.parametrize("normalise", [False, True])
+def test_a_feature_with_equal_bounds_is_constant(normalise):
+    @block([Label("payload", "kg", 2.0, 2.0), Label("height", "m", 0.0, 10.0)])
+    def payload(position):
+        return 2.0, position[2]
+
+    aviary, rows = seen(observation=(payload,), normalise=normalise)
+    assert (rows[:, 0] == (0.0 if normalise else 2.0)).all()
+    assert np.isfinite(rows).all()
+    aviary.close()
 
 
 SENSORS, SETUP = known_sensors(), EnvSpec("los", 1, {}).setup

@@ -226,8 +226,7 @@ def test_bars_are_turned_by_unit_quaternions():
 
 def test_rewards_are_ways_and_gates(straight):
     aviary = made(straight)
-    ways = aviary.scene.memory["way"]
-    first = ways[0, 0]
+    first = aviary.scene.memory["remaining_distance"][0, 0]
     assert first == pytest.approx(np.linalg.norm(aviary.swarm.position[0, 0] - (0, 0, 5)) + 20.0)
     totals = dict.fromkeys(("progress", "gate", "finish"), 0.0)
     for place in ((-3.0, 0.0, 5.0), (3.0, 0.0, 5.0), (21.0, 0.0, 5.0)):

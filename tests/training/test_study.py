@@ -105,7 +105,7 @@ def test_more_trials_go_on_with_a_study_and_another_one_is_refused(trained, tmp_
     more = run_study(STUDY, tmp_path)
     assert more[:4] == first
     assert Study.read(tmp_path / "study.yaml").text() == STUDY.text()
-    with pytest.raises(ValueError, match="holds another study"):
+    with pytest.raises(FolderError, match="holds another study"):
         run_study(Study(RUN, SPACE, trials=8, batch=2), tmp_path)
 
 

@@ -52,7 +52,7 @@ def admit(
         action: (W, N, A), written if all actions are valid.
 
     Returns:
-        Whether any action of a living drone is invalid; nothing is written then.
+        Whether any action of an active drone is invalid; nothing is written then.
     """
     # All are checked before any is written
     for w in range(given.shape[0]):
@@ -88,7 +88,7 @@ def mark_flying_drones(
         alive: (W, N) bool.
         steps: (W,) decisions since the reset.
         hz: Decisions per second.
-        flown: (W, N) bool, written: drones that fly.
+        flown: (W, N) bool, written: drones active before the decision.
         flying: (W,) bool, written: worlds in which any drone flies.
         time: (W,) time since the reset, s, written.
     """

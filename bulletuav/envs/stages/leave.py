@@ -41,7 +41,7 @@ def end_episodes(
     Args:
         ended: (W, N) bool, drones for which an end of the task is true.
         charge: (W, N) fraction of the charge; an empty battery ends an episode.
-        flown: (W, N) bool, drones that flew the decision.
+        flown: (W, N) bool, drones active before the decision.
         last: (W,) bool, whether the horizon is reached.
         terminated: (W, N) bool, written.
         truncated: (W, N) bool, written.

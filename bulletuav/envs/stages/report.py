@@ -42,7 +42,7 @@ def fill_infos(
 
     Args:
         success: (W, N) bool, drones that fulfil the task; counts only for drones that flew.
-        flown: (W, N) bool, drones that flew the decision.
+        flown: (W, N) bool, drones active before the decision.
         touched: Collision and resting (W, N) bool, and impulse (W, N), N s.
         apart: Conflicts, separation and distance to the goal (W, N).
         energy: Power and charge (W, N).

@@ -79,9 +79,9 @@ class Mobility(ABC):
         Returns:
             Lower and upper bounds by name; they broadcast to the array of one world.
         """
-        reach = float(ground.raster.reach)
+        half_side = float(ground.raster.half_side)
         return {
-            "users": (-reach, max(reach, ground.height)),
+            "users": (-half_side, max(half_side, ground.height)),
             "user_velocity": (-MAX_VELOCITY, MAX_VELOCITY),
         }
 

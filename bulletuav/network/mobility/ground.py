@@ -92,7 +92,7 @@ class Ground:
         # Free cells, by column and row
         drawn = own[rng.integers(len(own), size=count)]
         index = np.divmod(drawn, self.raster.free.shape[1])
-        corner = np.column_stack(index) * cell - self.raster.reach
+        corner = np.column_stack(index) * cell - self.raster.half_side
         # Uniform position inside each cell
         return self.raised(corner + rng.uniform(INSET, cell - INSET, (count, 2)))
 

@@ -94,9 +94,9 @@ class HotspotMobility(Walking):
 
     def bounds(self, ground: Ground) -> dict[str, tuple[Any, Any]]:
         """Return the bounds of the state arrays, see `Mobility.bounds`."""
-        reach = float(ground.raster.reach)
+        half_side = float(ground.raster.half_side)
         return super().bounds(ground) | {
-            "hotspots": (-reach, reach),
+            "hotspots": (-half_side, half_side),
             "hotspot_velocity": (-MAX_VELOCITY, MAX_VELOCITY),
             "user_hotspot": (0, self.num_hotspots - 1),
             "user_speed": (0.0, MAX_VELOCITY),

@@ -72,7 +72,7 @@ class Manhattan(Walking):
     def bounds(self, ground: Ground) -> dict[str, tuple[Any, Any]]:
         """Return the bounds of the state arrays, see `Mobility.bounds`."""
         last = ground.graph.node.shape[1] - 1
-        longest = 4.0 * float(ground.raster.reach)  # longer than the diagonal of the square
+        longest = 4.0 * float(ground.raster.half_side)  # longer than the diagonal of the square
         return super().bounds(ground) | {
             "user_speed": (0.0, MAX_VELOCITY),
             "user_street": (np.zeros(3), np.array((last, last, longest))),

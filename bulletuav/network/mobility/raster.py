@@ -17,21 +17,21 @@ cell"""
 
 
 class Raster(NamedTuple):
-    """Free cells of L layouts; columns along x, rows along y.
+    """Free cells of L layouts, of C columns along x and C rows along y.
 
     Free cells are entirely in bounds, and at least `MARGIN` m from footprints of buildings.
 
     Attributes:
-        free: Whether (L, C, C) each cell is free.
+        free: Whether each cell is free, (L, C, C), indexed [layout, column, row].
         sides: Lengths (L, 2) of the ground of each layout along x and y, m.
         cell: Edge length of a cell, m.
-        reach: Half of the side of the raster, m: cells cover [-reach, reach]^2.
+        half_side: Half of the side of the raster, m: cells cover [-half_side, half_side]^2.
     """
 
     free: np.ndarray
     sides: np.ndarray
     cell: float
-    reach: float
+    half_side: float
 
 
 def rasterise(cities: Sequence[City], cell: float) -> Raster:
@@ -46,34 +46,35 @@ def rasterise(cities: Sequence[City], cell: float) -> Raster:
         free=np.zeros((len(cities), count, count), dtype=bool),
         sides=np.array([city.sides for city in cities]),
         cell=cell,
-        reach=count * cell / 2,
+        half_side=count * cell / 2,
     )
     # Grid lines, the same for columns and rows
-    lines = np.arange(count + 1) * cell - raster.reach
+    lines = np.arange(count + 1) * cell - raster.half_side
     for own, city in zip(raster.free, cities, strict=True):
         # Cells between two lines in bounds are in bounds; the tolerance covers rounding
         reached = np.abs(lines) <= city.sides[:, None] / 2 * (1 + 1e-12)
         inside = reached[:, :-1] & reached[:, 1:]
         own[:] = inside[0][:, None] & inside[1]
         for outline in city.footprints:
-            block_outline(own, np.ascontiguousarray(outline), cell, raster.reach)
+            block_outline(own, np.ascontiguousarray(outline), cell, raster.half_side)
     return raster
 
 
 @allocating
-def block_outline(free: np.ndarray, outline: np.ndarray, cell: float, reach: float) -> None:
+def block_outline(free: np.ndarray, outline: np.ndarray, cell: float, half_side: float) -> None:
     """Mark the cells that are nearer than `MARGIN` m to a convex outline as not free, in place.
 
     The test is a separating axis test of each cell, inflated by the margin, against the outline.
+    At the corners of the outline, some cells up to sqrt(2) `MARGIN` away are marked, too.
 
     References:
         S. Gottschalk, M. Lin, D. Manocha, OBBTree, SIGGRAPH 1996.
 
     Args:
-        free: Whether (C, C) each cell is free; modified.
+        free: Whether each cell is free, (C, C), indexed [column, row]; modified.
         outline: Corners (V, 2) of the outline, counter-clockwise, m.
         cell: Edge length of a cell, m.
-        reach: Half of the side of the raster, m.
+        half_side: Half of the side of the raster, m.
     """
     half = 0.5 * cell + MARGIN
     # Range of columns and rows of the inflated bounding box
@@ -83,15 +84,15 @@ def block_outline(free: np.ndarray, outline: np.ndarray, cell: float, reach: flo
         left = right = outline[0, axis]
         for k in range(1, len(outline)):
             left, right = min(left, outline[k, axis]), max(right, outline[k, axis])
-        lower = (left - MARGIN + reach) / cell
-        upper = (right + MARGIN + reach) / cell
+        lower = (left - MARGIN + half_side) / cell
+        upper = (right + MARGIN + half_side) / cell
         low[axis] = max(0, math.floor(lower))
         high[axis] = min(len(free), math.floor(upper) + 1)
     for i in range(low[0], high[0]):
         for j in range(low[1], high[1]):
             # Centre of the cell
-            x = (i + 0.5) * cell - reach
-            y = (j + 0.5) * cell - reach
+            x = (i + 0.5) * cell - half_side
+            y = (j + 0.5) * cell - half_side
             # Is the inflated cell entirely outside any side of the outline?
             clear = False
             for k in range(len(outline)):
@@ -112,7 +113,7 @@ def length(x: float, y: float) -> float:
 @func
 def cell_index(coordinate: float, raster: Raster) -> int:
     """Return the column of an x coordinate, or the row of a y coordinate, m."""
-    return math.floor((coordinate + raster.reach) / raster.cell)
+    return math.floor((coordinate + raster.half_side) / raster.cell)
 
 
 @func
@@ -126,7 +127,7 @@ def is_free(raster: Raster, layout: int, column: int, row: int) -> bool:
 @func
 def clamp_to_cell(coordinate: float, index: int, raster: Raster) -> float:
     """Clamp a coordinate, m, to its column or row, against rounding errors."""
-    line = index * raster.cell - raster.reach
+    line = index * raster.cell - raster.half_side
     return min(max(coordinate, line + INSET), line + raster.cell - INSET)
 
 
@@ -163,9 +164,9 @@ def move_straight(
     next_x = np.inf
     next_y = np.inf
     if dx != 0.0:
-        next_x = ((column + max(east, 0)) * raster.cell - raster.reach - x) / dx
+        next_x = ((column + max(east, 0)) * raster.cell - raster.half_side - x) / dx
     if dy != 0.0:
-        next_y = ((row + max(north, 0)) * raster.cell - raster.reach - y) / dy
+        next_y = ((row + max(north, 0)) * raster.cell - raster.half_side - y) / dy
     fraction = 1.0
     stopped = -1
     # Traverse the cells until one is not free

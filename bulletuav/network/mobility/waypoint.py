@@ -76,9 +76,9 @@ class Waypoint(Walking):
 
     def bounds(self, ground: Ground) -> dict[str, tuple[Any, Any]]:
         """Return the bounds of the state arrays, see `Mobility.bounds`."""
-        reach = float(ground.raster.reach)
+        half_side = float(ground.raster.half_side)
         return super().bounds(ground) | {
-            "user_goal": (-reach, reach),
+            "user_goal": (-half_side, half_side),
             "user_speed": (0.0, MAX_VELOCITY),
             "user_pause": (0.0, MAX_TIME),
         }

@@ -18,13 +18,13 @@ Add = Callable[[Program, Frame, np.ndarray], bool]
 
 @dataclass(frozen=True)
 class Block:
-    """Some numbers of an observation, computed for all drones at once.
+    """Some features of an observation, computed for all drones at once.
 
     Attributes:
-        labels: Name, unit and bounds of each number.
-        compute: Returns (W, N, len(labels)) from a frame and `present` (W, N), the drones that are
-            still present after it.
-        add: Adds steps to a program that write the numbers of a frame to a zeroed array (W, N,
+        labels: Name, unit and bounds of each feature.
+        compute: Returns (W, N, len(labels)) from a frame and `present` (W, N), the drones active
+            after the decision.
+        add: Adds steps to a program that write the features of a frame to a zeroed array (W, N,
             labels); returns False if it cannot. None to call `compute` instead.
     """
 

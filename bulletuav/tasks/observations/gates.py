@@ -52,13 +52,13 @@ def next_gates(
             continue
         g = turn % count
         middle, ahead, moving = all_gate[g], all_gate_axis[g, 0], all_gate_velocity[g]
-        way = (
+        offset = (
             middle[0] - known_position[0],
             middle[1] - known_position[1],
             middle[2] - known_position[2],
         )
         seen = (
-            to_body(quaternion, way),
+            to_body(quaternion, offset),
             to_body(quaternion, (ahead[0], ahead[1], ahead[2])),
             to_body(quaternion, (moving[0], moving[1], moving[2])),
         )

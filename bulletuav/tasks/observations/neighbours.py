@@ -88,7 +88,7 @@ def _others(task: Any, name: str, horizon: float) -> Block:
 def all_neighbours(task: Any) -> Block:
     """All other drones by index: relative position and velocity.
 
-    Zeros for absent drones.
+    Zeros for inactive drones.
     """
     drones = task.context.num_drones
     labels = tuple(label for k in range(1, drones) for label in _relative(task, f"other {k}"))
@@ -142,7 +142,7 @@ def known_others(frame: Frame, present: np.ndarray) -> tuple[np.ndarray, np.ndar
 
     Args:
         frame: The decision.
-        present: (W, N) bool, drones that are still present.
+        present: (W, N) bool, drones active after the decision.
 
     Returns:
         Position and velocity (W, N, N, 3) of drone j as known to drone i, and whether drone i knows

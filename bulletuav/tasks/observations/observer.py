@@ -1,4 +1,4 @@
-"""Observations of all drones: concatenated blocks of numbers, and images."""
+"""Observations of all drones: concatenated blocks of features, and images."""
 
 import inspect
 from collections.abc import Iterable, Mapping, Sequence
@@ -27,7 +27,12 @@ VECTOR = "vector"
 
 
 def observation_name(source: Any) -> str:
-    """Return a block's name: the name itself, its part after the colon, or a function's name."""
+    """Return the name of a block.
+
+    Args:
+        source: A name, of which the part after the colon counts, a function, or another object,
+            whose class gives the name.
+    """
     if isinstance(source, str):
         return source.rpartition(":")[2]
     return str(getattr(source, "__name__", type(source).__name__))
@@ -36,12 +41,13 @@ def observation_name(source: Any) -> str:
 def known_observations(sensors: Mapping[str, Sensor]) -> list[str]:
     """Return the names that can be observed: registered blocks and readings of sensors."""
     readings = {
-        reading for one in sensors.values() for reading in one.gives if _is_shown(one, reading)
+        reading for one in sensors.values() for reading in one.gives if _has_labels(one, reading)
     }
     return sorted({*names("observation"), *readings})
 
 
-def _is_shown(sensor: Sensor, reading: str) -> bool:
+def _has_labels(sensor: Sensor, reading: str) -> bool:
+    """Check whether a sensor has labels for a reading, so that it can be observed."""
     return reading in sensor.labels(SensorSetup())
 
 
@@ -49,13 +55,16 @@ class ObservationBuilder:
     """Observation of a task: blocks concatenated into one vector, or a dict.
 
     Vectors are float32, clipped to their bounds, and scaled from the bounds to [-1, 1] if
-    `normalise`. An observation with images is a dict of "vector" (if there are numbers) and the
+    `normalise`. An observation with images is a dict of "vector" (if there are features) and the
     images; with the format "dict" it has an entry for each block.
 
     Attributes:
-        labels: Name, unit and bounds of each number of the vector.
+        labels: Name, unit and bounds before scaling of each feature of the vector.
         slices: Slice of the vector of each block, by name.
         images: Images, by name.
+        is_plain: Whether observations are vectors, without a dict.
+        low: (D,) lower bounds after scaling.
+        high: (D,) upper bounds after scaling.
     """
 
     def __init__(
@@ -75,11 +84,11 @@ class ObservationBuilder:
         Args:
             sources: Names of blocks and readings, or blocks themselves.
             task: The task.
-            action: Action of the drones.
-            binding: Sources of the argument names of blocks.
+            action: Action type of the drones.
+            binding: Resolves argument names of block functions to arrays of a frame.
             sensors: All sensors, by name.
             setup: Setup of the sensors.
-            normalise: Whether numbers are scaled to [-1, 1].
+            normalise: Whether features are scaled to [-1, 1]; one with equal bounds is 0.
             form: "vector", or "dict" with an entry for each block.
 
         Raises:
@@ -105,6 +114,8 @@ class ObservationBuilder:
         self._low = np.array([label.low for label in self.labels], dtype=np.float32)
         self._high = np.array([label.high for label in self.labels], dtype=np.float32)
         middle, half = (self._low + self._high) / 2, (self._high - self._low) / 2
+        # A feature with equal bounds is constant: do not divide by zero
+        half[half == 0] = 1.0
         self._bounds = (self._low, self._high, normalise, middle, half)
         # Public bounds are those after scaling
         ones = np.ones_like(self._low)
@@ -132,7 +143,7 @@ class ObservationBuilder:
 
         Args:
             frame: The decision, or the first frame after a reset.
-            present: (W, N) bool, drones that are still present after it.
+            present: (W, N) bool, drones active after the decision.
 
         Returns:
             (W, N, D) float32, or a dict of arrays (W, N, ...).
@@ -142,24 +153,28 @@ class ObservationBuilder:
         for part, writer in self._writers:
             writer.fill(frame, vector[..., part])
         _bound(vector, *self._bounds)
-        return self.shown(frame, vector)
+        return self.assemble(frame, vector)
 
-    def reads_none_of(self, names: Iterable[str]) -> bool:
-        """Return True if no block that is a function of one drone's numbers reads these names."""
+    def reads_any(self, names: Iterable[str]) -> bool:
+        """Check whether any block function has an argument with one of these names.
+
+        Args:
+            names: Names of arguments, without `all_`; arguments with this prefix count, too.
+        """
         bounds = [writer for _, writer in self._writers if isinstance(writer, Bound)]
         asked = {name.removeprefix(ALL) for bound in bounds for name in bound.sources}
-        return asked.isdisjoint(names)
+        return not asked.isdisjoint(names)
 
     def make_vector(self, shape: tuple[int, ...]) -> np.ndarray:
-        """Return zeros for the numbers of all drones, (W, N, D) float32."""
+        """Return zeros for the features of all drones, (W, N, D) float32."""
         return np.zeros((*shape, len(self.labels)), dtype=np.float32)
 
     def add_to(self, program: Program, frame: Frame, vector: np.ndarray) -> None:
-        """Add steps to a program that write the numbers.
+        """Add steps to a program that write the vectors.
 
         Args:
             program: Program to extend.
-            frame: The decision; its `derived` has PRESENT, the drones that are still present.
+            frame: The decision; its `derived` has PRESENT, the drones active after the decision.
             vector: (W, N, D) float32, output.
         """
         program.call(clear, vector)
@@ -172,8 +187,8 @@ class ObservationBuilder:
                 writer.add_to(program, frame, out)
         program.call(_bound, vector, *self._bounds)
 
-    def shown(self, frame: Frame, vector: np.ndarray) -> Observation:
-        """Return an observation from the numbers (W, N, D) and the images of a frame."""
+    def assemble(self, frame: Frame, vector: np.ndarray) -> Observation:
+        """Return observations from the vectors (W, N, D) and the images of a frame."""
         if self.is_plain:
             return vector
         seen: dict[str, np.ndarray] = {}
@@ -188,15 +203,15 @@ class ObservationBuilder:
             observation: (..., D) of one or more drones, or a dict with "vector".
 
         Returns:
-            Arrays (..., numbers of the block) by name, views of the given array. Images are
+            Arrays (..., features of the block) by name, views of the given array. Images are
             unchanged.
 
         Raises:
             ValueError: If the size does not match the observation.
         """
         if isinstance(observation, Mapping):
-            rest = {name: value for name, value in observation.items() if name != VECTOR}
-            return (self.split(observation[VECTOR]) if VECTOR in observation else {}) | rest
+            images = {name: value for name, value in observation.items() if name != VECTOR}
+            return (self.split(observation[VECTOR]) if VECTOR in observation else {}) | images
         vector = np.asarray(observation)
         if vector.ndim == 0 or vector.shape[-1] != len(self.labels):
             raise ValueError(
@@ -269,8 +284,8 @@ def _make(
     made = block if isinstance(block, Block) else block(task)
     if not isinstance(made, Block):
         raise ValueError(
-            f"{title} gave {shown(made)} for the task: a Block is needed; decorate a function "
-            f"of one drone's numbers with @block(labels)"
+            f"{title} gave {shown(made)} for the task: a Block is needed; decorate a "
+            f"per-drone function with @block(labels)"
         )
     return _checked(made.labels, title), _BlockWriter(title, made)
 
@@ -301,13 +316,13 @@ def _make_reading_block(name: str) -> Block:
 
 
 class _BlockWriter:
-    """Writer of a block that is not a function of one drone's numbers."""
+    """Writer of a block whose function is not decorated with @block."""
 
     def __init__(self, title: str, block: Block) -> None:
         self._title, self._block = title, block
 
     def fill(self, frame: Frame, out: np.ndarray) -> None:
-        """Write the numbers of a frame to `out` (W, N, labels)."""
+        """Write the features of a frame to `out` (W, N, labels)."""
         numbers = self._block.compute(frame, frame.derived[PRESENT])
         if np.shape(numbers) != out.shape:
             raise ValueError(
@@ -317,14 +332,14 @@ class _BlockWriter:
         out[...] = numbers
 
     def add_to(self, program: Program, frame: Frame, out: np.ndarray) -> None:
-        """Add a step to a program that writes the numbers."""
+        """Add a step to a program that writes the features."""
         if self._block.add is not None and self._block.add(program, frame, out):
             return
         program.callback(lambda: self.fill(frame, out))
 
 
 def needed_readings(sources: Sequence[Any], sensors: Mapping[str, Sensor]) -> set[str]:
-    """Return the readings that observations show, or that their functions request."""
+    """Return the readings that observations show, or that their block functions request."""
     wanted: set[str] = set()
     for source in sources:
         name = observation_name(source)
@@ -337,16 +352,21 @@ def needed_readings(sources: Sequence[Any], sensors: Mapping[str, Sensor]) -> se
     return wanted
 
 
-def requested_readings(ingredient: Any, sensors: Mapping[str, Sensor]) -> set[str]:
-    """Return the readings that a function of one drone's numbers requests by argument name."""
-    if not getattr(ingredient, "ingredient", None):
+def requested_readings(function: Any, sensors: Mapping[str, Sensor]) -> set[str]:
+    """Return the readings that a decorated function requests by argument name.
+
+    Args:
+        function: A function decorated with @block, @reward or @end; others request no readings.
+        sensors: All sensors, by name.
+    """
+    if not getattr(function, "ingredient", None):
         return set()
-    asked = {one.removeprefix("all_") for one in inspect.signature(ingredient).parameters}
+    asked = {one.removeprefix(ALL) for one in inspect.signature(function).parameters}
     return {one for one in asked if provider(sensors, one) is not None}
 
 
 def part(observations: Observation, index: Any) -> Any:
-    """Return `observations[index]`, applied to each entry of a dict."""
+    """Return `observations[index]`, or a dict with that of each entry."""
     if isinstance(observations, dict):
         return {name: array[index] for name, array in observations.items()}
     return observations[index]

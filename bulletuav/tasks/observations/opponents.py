@@ -29,7 +29,7 @@ def opponents_in_sight(task: Any, frame: Frame, present: np.ndarray) -> np.ndarr
     Args:
         task: The task, which defines the teams.
         frame: The decision.
-        present: (W, N) bool, drones that are still present.
+        present: (W, N) bool, drones active after the decision.
 
     Returns:
         (W, N, N) bool, whether drone i sees drone j.

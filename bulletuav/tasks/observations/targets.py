@@ -63,7 +63,7 @@ def seen_share(task: Any) -> Block:
 def centroids(task: Any) -> Block:
     """Horizontal centroid of all active targets, and of the drone's own targets.
 
-    A drone's own targets are those closer to it than to other living drones; all if it has none.
+    A drone's own targets are those closer to it than to other active drones; all if it has none.
     """
     require_targets(task, "centroids")
     bounds = [(task.arena_low[axis], task.arena_high[axis]) for axis in (0, 1)]
@@ -76,7 +76,7 @@ def centroids(task: Any) -> Block:
     def compute(frame: Frame, present: np.ndarray) -> np.ndarray:
         place = task.targets(frame.scene)[..., :2]
         active = task.active_targets(frame.scene)[:, None]
-        # Horizontal distances; absent drones have no own targets
+        # Horizontal distances; inactive drones have no own targets
         gap = np.linalg.norm(place[:, None] - frame.known_position[:, :, None, :2], axis=-1)
         gap = np.where(present[..., None], gap, np.inf)
         # A target at equal distances belongs to both drones

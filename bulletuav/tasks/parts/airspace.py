@@ -81,7 +81,7 @@ def circle_arena(
         raise ValueError(
             f"altitude {config.altitude:g} m is too low for jitter {config.jitter:g} m"
         )
-    reach = radius + config.margin
-    low = np.array([-reach, -reach, 0.0])
-    high = np.array([reach, reach, config.altitude + config.margin])
+    half_side = radius + config.margin
+    low = np.array([-half_side, -half_side, 0.0])
+    high = np.array([half_side, half_side, config.altitude + config.margin])
     return low, high

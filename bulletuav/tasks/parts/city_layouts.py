@@ -195,9 +195,9 @@ class CityLayouts(Part):
         self.solids: tuple[Solids, ...] = tuple(city.solids for city in self.cities)
         self.parameters = np.array([*map(parameters, self.cities), (0.0, 0.0, 0.0)])
         # The airspace contains the widest city, and must be larger than `min_separation`
-        reach = np.max([city.sides for city in self.cities], axis=0) / 2
-        self.low = np.array([-reach[0], -reach[1], 0.0])
-        self.high = np.array([reach[0], reach[1], config.ceiling])
+        half_sides = np.max([city.sides for city in self.cities], axis=0) / 2
+        self.low = np.array([-half_sides[0], -half_sides[1], 0.0])
+        self.high = np.array([half_sides[0], half_sides[1], config.ceiling])
         diagonal = math.dist(self.low, self.high)
         if context.num_drones > 1 and config.min_separation >= diagonal:
             raise ValueError(
@@ -371,12 +371,12 @@ class CityLayouts(Part):
 
         Returns the farthest of MAX_TRIES goals if none is that far away.
         """
-        farthest, reach = place, -1.0
+        farthest, longest = place, -1.0
         for _ in range(MAX_TRIES):
             goal = np.append(self.outdoors(rng, layout, 1)[0], rng.uniform(*self.config.height))
             distance = math.dist(place, goal)
-            if distance > reach:
-                farthest, reach = goal, distance
+            if distance > longest:
+                farthest, longest = goal, distance
             if distance >= leg:
                 break
         return farthest

@@ -33,7 +33,7 @@ class Course:
 
     Attributes:
         turn: Absolute turn rate, rad/s.
-        reach: Maximum distance of the leader from the origin, m.
+        radius: Maximum distance of the leader from the origin, m.
     """
 
     def __init__(
@@ -51,12 +51,12 @@ class Course:
         self.turn = turn
         self._speed, self._altitude = speed, altitude
         time = np.arange(round(duration / period) + 1) * period
-        way = self._way(time, np.zeros(len(time)), np.full(len(time), turn))
-        self._middle = (way.max(axis=0) + way.min(axis=0)) / 2
-        offset = way - self._middle
-        self.reach = float(hypot(offset[:, 0], offset[:, 1]).max())
+        path = self._displacement(time, np.zeros(len(time)), np.full(len(time), turn))
+        self._middle = (path.max(axis=0) + path.min(axis=0)) / 2
+        offset = path - self._middle
+        self.radius = float(hypot(offset[:, 0], offset[:, 1]).max())
 
-    def _way(self, time: np.ndarray, course: np.ndarray, turn: np.ndarray) -> np.ndarray:
+    def _displacement(self, time: np.ndarray, course: np.ndarray, turn: np.ndarray) -> np.ndarray:
         """Compute the displacements (K, 2) from the start, m, as chords of arcs."""
         half = turn * time / 2
         # The chord is sin(half) / half of the arc's length, and points to the middle of the arc
@@ -75,7 +75,7 @@ class Course:
         side = np.where(turn < 0, -1.0, 1.0)
         x, y = self._middle[0], side * self._middle[1]
         start = np.stack([sin(course) * y - cos(course) * x, -sin(course) * x - cos(course) * y], 1)
-        level = start + self._way(time, course, turn)
+        level = start + self._displacement(time, course, turn)
         yaw = course + turn * time
         position = np.concatenate([level, np.full((len(level), 1), self._altitude)], axis=1)
         direction = np.stack([cos(yaw), sin(yaw), np.zeros(len(yaw))], axis=1)

@@ -135,7 +135,7 @@ def cross_gates(
     Args:
         before: (W, N, 3) positions before the decision, m.
         after: (W, N, 3) positions after the decision, m.
-        flown: (W, N) bool, drones that flew the decision.
+        flown: (W, N) bool, drones active before the decision.
         time: (W,) time at the end of the decision, s.
         period: Length of the decision, s.
         gate_before: (W, G, 3) centres of the gates before the decision, m.
@@ -196,7 +196,7 @@ def compute_remaining_distances(
     gate: np.ndarray,
     leg: np.ndarray,
     turns: int,
-    way: np.ndarray,
+    remaining_distance: np.ndarray,
 ) -> None:
     """Compute the remaining distances to the finish, straight from gate to gate.
 
@@ -206,11 +206,11 @@ def compute_remaining_distances(
         gate: (W, G, 3) centres of the gates, m.
         leg: (W, G) distance from each gate to the next, m.
         turns: Number of gates of all laps.
-        way: (W, N) output, m.
+        remaining_distance: (W, N) output, m.
     """
     for w in range(position.shape[0]):
         for i in range(position.shape[1]):
-            way[w, i] = 0.0
+            remaining_distance[w, i] = 0.0
             turn = int(passed[w, i])
             # Drones that finished have no remaining distance
             if turn >= turns:
@@ -220,14 +220,14 @@ def compute_remaining_distances(
             square = 0.0
             for k in range(3):
                 square += (gate[w, g, k] - position[w, i, k]) ** 2
-            way[w, i] = math.sqrt(square)
+            remaining_distance[w, i] = math.sqrt(square)
             for later in range(turn, turns - 1):
-                way[w, i] += leg[w, later % gate.shape[1]]
+                remaining_distance[w, i] += leg[w, later % gate.shape[1]]
 
 
 @kernel
 def rank_drones(
-    way: np.ndarray,
+    remaining_distance: np.ndarray,
     split: np.ndarray,
     flown: np.ndarray,
     rank: np.ndarray,
@@ -237,22 +237,22 @@ def rank_drones(
     """Rank drones by remaining distance, and finished ones by their times.
 
     Args:
-        way: (W, N) remaining distance, m; 0 if finished.
+        remaining_distance: (W, N) m; 0 if finished.
         split: (W, N) time of finishing, s.
-        flown: (W, N) bool, drones that flew the decision.
+        flown: (W, N) bool, drones active before the decision.
         rank: (W, N) rank from 1; updated.
         rank_before: (W, N) output: rank before the decision, 0 at the start.
         overtaken: (W, N) output: number of drones that were ahead and are behind now.
     """
-    drones = way.shape[1]
-    for w in range(way.shape[0]):
+    drones = remaining_distance.shape[1]
+    for w in range(remaining_distance.shape[0]):
         for i in range(drones):
             rank_before[w, i] = rank[w, i]
             rank[w, i] = 1.0
             for j in range(drones):
                 # Ties are broken by time, then by index
-                is_first = way[w, j] < way[w, i]
-                if way[w, j] == way[w, i]:
+                is_first = remaining_distance[w, j] < remaining_distance[w, i]
+                if remaining_distance[w, j] == remaining_distance[w, i]:
                     is_first = split[w, j] < split[w, i] or (split[w, j] == split[w, i] and j < i)
                 if is_first:
                     rank[w, i] += 1.0

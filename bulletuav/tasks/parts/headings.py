@@ -42,43 +42,51 @@ def check_heading(heading: Any, num_drones: int, has_goals: bool) -> None:
         )
 
 
-def heading_directions(heading: Any, ways: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+def heading_directions(
+    heading: Any, directions: np.ndarray, rng: np.random.Generator
+) -> np.ndarray:
     """Return the directions of a heading.
 
     Args:
         heading: Valid value of the option.
-        ways: (N, 3) vectors from the drones to their goals, m.
+        directions: (N, 3) vectors from the drones to their goals, m.
         rng: Generator of random headings.
 
     Returns:
         (N, 3) unit vectors.
     """
     if isinstance(heading, str):
-        return unit_directions(ways if heading == "goal" else rng.normal(size=ways.shape))
-    angle = np.broadcast_to(np.radians(np.asarray(heading, dtype=float)), len(ways))
-    return np.stack([cos(angle), sin(angle), np.zeros(len(ways))], axis=1)
+        return unit_directions(
+            directions if heading == "goal" else rng.normal(size=directions.shape)
+        )
+    angle = np.broadcast_to(np.radians(np.asarray(heading, dtype=float)), len(directions))
+    return np.stack([cos(angle), sin(angle), np.zeros(len(directions))], axis=1)
 
 
 @func
-def _unit(ways: np.ndarray, i: int) -> Vec3:
+def _unit(directions: np.ndarray, i: int) -> Vec3:
     """Normalise the i-th of vectors (N, 3); return east for a zero vector."""
-    x, y, z = point(ways, i)
+    x, y, z = point(directions, i)
     length = math.sqrt(dot((x, y, z), (x, y, z)))
     return (x / length, y / length, z / length) if length > 0.0 else (1.0, 0.0, 0.0)
 
 
 @allocating
-def unit_directions(ways: np.ndarray) -> np.ndarray:
+def unit_directions(directions: np.ndarray) -> np.ndarray:
     """Normalise vectors (N, 3); zero vectors become east."""
-    unit = np.empty(ways.shape)
-    for i in range(ways.shape[0]):
-        unit[i, 0], unit[i, 1], unit[i, 2] = _unit(ways, i)
+    unit = np.empty(directions.shape)
+    for i in range(directions.shape[0]):
+        unit[i, 0], unit[i, 1], unit[i, 2] = _unit(directions, i)
     return unit
 
 
 @kernel
 def draw_velocities(
-    source: RandomSource, slowest: float, fastest: float, ways: np.ndarray, velocity: np.ndarray
+    source: RandomSource,
+    slowest: float,
+    fastest: float,
+    directions: np.ndarray,
+    velocity: np.ndarray,
 ) -> None:
     """Draw a speed for each drone and write velocities along given directions.
 
@@ -86,12 +94,12 @@ def draw_velocities(
         source: Source of random numbers.
         slowest: Minimum speed, m/s.
         fastest: Maximum speed, m/s.
-        ways: (N, 3) directions, of any length.
+        directions: (N, 3) directions, of any length.
         velocity: (N, 3) output, m/s.
     """
-    for i in range(ways.shape[0]):
+    for i in range(directions.shape[0]):
         speed = draw_uniform(source, slowest, fastest)
-        x, y, z = _unit(ways, i)
+        x, y, z = _unit(directions, i)
         velocity[i, 0], velocity[i, 1], velocity[i, 2] = x * speed, y * speed, z * speed
 
 

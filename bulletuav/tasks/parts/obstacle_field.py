@@ -89,8 +89,8 @@ class ObstacleField(Part):
         """Return the corners (3,) of the box of the obstacles' centres, m."""
         if self.bounds is not None:
             return self.bounds
-        reach = self.radius.max(initial=0.0)
-        return self._task.arena_low + reach, self._task.arena_high - reach
+        margin = self.radius.max(initial=0.0)
+        return self._task.arena_low + margin, self._task.arena_high - margin
 
     def finish(self, spawn: Spawn, is_given: bool, rng: np.random.Generator) -> Spawn:
         """Apply `heading` to the drones, and draw obstacles clear of all starts and goals.

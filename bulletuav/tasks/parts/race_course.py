@@ -130,8 +130,11 @@ class RaceCourse:
         low, high = places.min(axis=0), places.max(axis=0)
         if self._given is None:  # contains all random tracks
             behind = float(np.linalg.norm(start[:, :2] - middle[0, :2], axis=1).max())
-            reach = config.track_radius + behind
-            low, high = np.full(3, -reach), np.array((reach, reach, config.gate_height[1]))
+            half_side = config.track_radius + behind
+            low, high = (
+                np.full(3, -half_side),
+                np.array((half_side, half_side, config.gate_height[1])),
+            )
         low, high = low - config.margin, high + config.margin
         low[2] = 0.0
         lap = float(np.linalg.norm(middle - np.roll(middle, 1, axis=0), axis=1).sum())

@@ -87,7 +87,7 @@ def measure_chase(
     Args:
         before: (W, N, 3) positions before the decision, m.
         after: (W, N, 3) positions after the decision, m.
-        flown: (W, N) bool, drones that flew the decision; others are ignored.
+        flown: (W, N) bool, drones active before the decision; others are ignored.
         team: (N,) 0 for chasers, 1 for evaders.
         min_distance: (W, N) output: minimum distance from a chaser, m; infinite if there is none.
         by: (W, N) output: index of this chaser, or NO_OPPONENT.
@@ -107,11 +107,11 @@ def measure_chase(
             for j in range(before.shape[1]):
                 if team[j] == 0 and flown[w, j]:
                     later = offset(after, w, i, j)
-                    start, way = closest_squared_distances(offset(before, w, i, j), later)
+                    start, least = closest_squared_distances(offset(before, w, i, j), later)
                     first = min(first, start)
                     last = min(last, dot(later, later))
-                    if way < nearest:
-                        nearest = way
+                    if least < nearest:
+                        nearest = least
                         by[w, i] = j
             if by[w, i] != NO_OPPONENT:
                 min_distance[w, i] = math.sqrt(nearest)

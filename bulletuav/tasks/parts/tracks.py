@@ -68,11 +68,11 @@ class RandomTrack:
         height = rng.uniform(*self.height, count)
         place = np.stack([radius * cos(angle), radius * sin(angle), height], axis=1)
         # Gates face roughly from the previous gate to the next one
-        way = np.roll(place, -1, axis=0) - np.roll(place, 1, axis=0)
-        yaw = np.degrees(atan2(way[:, 1], way[:, 0])) + rng.uniform(
+        direction = np.roll(place, -1, axis=0) - np.roll(place, 1, axis=0)
+        yaw = np.degrees(atan2(direction[:, 1], direction[:, 0])) + rng.uniform(
             -MAX_YAW_OFFSET, MAX_YAW_OFFSET, count
         )
-        slope = np.degrees(atan2(way[:, 2], hypot(way[:, 0], way[:, 1])))
+        slope = np.degrees(atan2(direction[:, 2], hypot(direction[:, 0], direction[:, 1])))
         pitch = slope + self.tilt * rng.uniform(-1, 1, count)
         roll = self.tilt * rng.uniform(-1, 1, count)
         pitch = np.clip(pitch, -60, 60)
@@ -188,10 +188,10 @@ def find_track_error(
     reach = np.array([gate.reach for gate in gates]) + motion
     forward = gate_axes(gates)[:, 0]
     # Distances between gates, and from the clear paths through them
-    way = middle - middle[:, None]
-    along = np.clip((way * forward[:, None]).sum(axis=-1), -CLEAR_LENGTH, CLEAR_LENGTH)
-    off = way - along[..., None] * forward[:, None]
-    gap, off = (np.sqrt((one**2).sum(axis=-1)) for one in (way, off))
+    offset = middle - middle[:, None]
+    along = np.clip((offset * forward[:, None]).sum(axis=-1), -CLEAR_LENGTH, CLEAR_LENGTH)
+    off = offset - along[..., None] * forward[:, None]
+    gap, off = (np.sqrt((one**2).sum(axis=-1)) for one in (offset, off))
     apart, clear = reach[:, None] + reach, reach + MIN_CLEARANCE
     np.fill_diagonal(gap, np.inf)
     np.fill_diagonal(off, np.inf)

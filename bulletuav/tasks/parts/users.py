@@ -37,7 +37,7 @@ class UserOptions:
 class Users(Part):
     """Users on the ground of cities: positions, and times in sight of drones.
 
-    Infos are "served", the fraction of users seen by at least one living drone, and "dwell_time",
+    Infos are "served", the fraction of users seen by at least one active drone, and "dwell_time",
     the time for which the drone has seen users without interruption, averaged over users, s.
 
     Attributes:
@@ -91,13 +91,13 @@ class Users(Part):
         return False
 
     def update_memory(self, frame: Frame, rngs: Rngs) -> None:
-        """Update the times for which living drones have seen users without interruption."""
+        """Update the times for which active drones have seen users without interruption."""
         memory, period = frame.scene.memory, self._task.context.period
         times = (memory["dwell_time"], memory["mean_dwell_time"])
         update_dwell_time(*times, frame.readings["sight"], frame.alive, period)
 
     def served(self, frame: Frame) -> np.ndarray:
-        """Compute the fraction of users seen by at least one living drone, (W, N)."""
+        """Compute the fraction of users seen by at least one active drone, (W, N)."""
         return get_served_fraction(self._task, frame)
 
     def quantities(self) -> Mapping[str, Any]:

@@ -29,14 +29,14 @@ def goal(reached: bool) -> float:
 @register("reward")
 @reward
 def conflict(conflicts: int) -> float:
-    """Other drones with which a conflict began."""
+    """Count the other drones with which a conflict began in the decision."""
     return float(conflicts)
 
 
 @register("reward")
 @reward
 def warning(nearness: float) -> float:
-    """Sum over other drones of their proximity: 0 at the edge of the warning zone, 1 at d_safe."""
+    """Sum over other drones of their proximity: 0 at `warning_zone` times d_safe, 1 at d_safe."""
     return nearness
 
 
@@ -73,9 +73,12 @@ def energy(velocity: Vec3, velocity_before: Vec3) -> float:
 
 @register("reward")
 @reward
-def efficiency(way: float, first_way: float, goal_radius: float) -> float:
-    """1 - d / d0: 1 at the goal, 0 at the distance d0 of the start."""
-    return 1 - way / max(first_way, goal_radius)
+def efficiency(remaining_distance: float, initial_distance: float, goal_radius: float) -> float:
+    """1 - d / max(d0, goal_radius): 1 at the goal, 0 at the initial distance d0, negative beyond.
+
+    d is the remaining distance.
+    """
+    return 1 - remaining_distance / max(initial_distance, goal_radius)
 
 
 @register("reward")
@@ -83,16 +86,17 @@ def efficiency(way: float, first_way: float, goal_radius: float) -> float:
 def speed_keeping(velocity: Vec3, max_speed: float) -> float:
     """1 at a speed between 0.3 and 0.8 of max_speed."""
     speed = math.sqrt(velocity[0] ** 2 + velocity[1] ** 2 + velocity[2] ** 2)
-    share = speed / max_speed
-    return 1.0 if 0.3 < share < 0.8 else 0.0
+    fraction = speed / max_speed
+    return 1.0 if 0.3 < fraction < 0.8 else 0.0
 
 
 @register("reward")
 @reward
 def time(terminated: bool, finished: bool, time: float, duration: float, period: float) -> float:
-    """1 per decision until the drone has finished; an early end costs all remaining decisions.
+    """1 per decision until the drone has finished. Use a negative weight.
 
-    Hence no drone saves time by crashing or leaving.
+    In a decision in which the episode of the drone terminates otherwise, the term also has 1 per
+    remaining decision, so that no drone saves time by crashing or leaving.
     """
     if finished:
         return 0.0
@@ -101,7 +105,9 @@ def time(terminated: bool, finished: bool, time: float, duration: float, period:
 
 @register("reward")
 @reward
-def shaping(way: float, way_before: float, terminated: bool, discount: float) -> float:
+def shaping(
+    remaining_distance: float, remaining_distance_before: float, terminated: bool, discount: float
+) -> float:
     """Potential-based shaping with the negative remaining distance as potential.
 
     The term is the discounted potential after the decision minus the potential before. The
@@ -109,7 +115,7 @@ def shaping(way: float, way_before: float, terminated: bool, discount: float) ->
     optimal policies: A. Ng, D. Harada, S. Russell, Policy invariance under reward transformations,
     1999.
     """
-    return way_before - discount * (0.0 if terminated else way)
+    return remaining_distance_before - discount * (0.0 if terminated else remaining_distance)
 
 
 @register("reward")
@@ -117,9 +123,17 @@ def shaping(way: float, way_before: float, terminated: bool, discount: float) ->
 def concession(
     i: int, encounter: np.ndarray, effort: np.ndarray, all_effort: np.ndarray, ended: bool
 ) -> float:
-    """At the end: drones to which the drone gave way, minus drones that gave way to it.
+    """At the end: number of drones to which the drone gave way, minus those that gave way to it.
 
-    At least 0; see `update_encounters`.
+    At least 0. Only encounters without a conflict count. Of the two drones of an encounter, the one
+    with the larger effort gave way; see `update_encounters`.
+
+    Args:
+        i: Index of the drone.
+        encounter: (N,) state of the pairs of the drone with all drones.
+        effort: (N,) effort of the drone towards each other drone, m/s: row i of `all_effort`.
+        all_effort: (N, N) efforts of all drones, m/s.
+        ended: Whether the episode of the drone ends.
     """
     balance = 0.0
     if ended:
@@ -164,18 +178,20 @@ def update_encounters(
 ) -> None:
     """Update the encounters of all pairs of drones after a decision.
 
-    An encounter begins when two living drones would come closer than d_safe within 10 s of straight
-    flight. From then on `effort` accumulates the velocity changes of each drone while the two
-    approach each other, also in later approaches. The drone with the larger sum gave way. An
-    encounter becomes a conflict once the drones are closer than d_safe.
+    An encounter begins when the closest approach of two active drones in straight flight is less
+    than `LOOK_AHEAD` = 10 s away and closer than d_safe. From then on `effort` accumulates the
+    velocity changes of each drone while the two approach each other, also in later approaches. The
+    drone with the larger sum gave way. A pair is in conflict once it is closer than d_safe at any
+    time in a decision, also without an encounter.
 
     Args:
         encounter: (W, N, N) state of each pair: NONE, CLEAR or CONFLICT; updated.
-        effort: (W, N, N) m/s; updated.
+        effort: (W, N, N) accumulated velocity change of drone i while it approaches drone j, at
+            [w, i, j], m/s; updated.
         before: Swarm before the decision.
         after: Swarm after the decision.
-        d_safe: m.
-        alive: (W, N) bool, drones that flew the decision.
+        d_safe: Separation below which two drones are in conflict, m.
+        alive: (W, N) bool, drones active before the decision.
     """
     for w in range(alive.shape[0]):
         for i in range(alive.shape[1]):
@@ -208,18 +224,18 @@ def update_encounters(
 
 @allocating
 def variance_nearby(
-    reward: np.ndarray, position: np.ndarray, alive: np.ndarray, reach: float
+    reward: np.ndarray, position: np.ndarray, alive: np.ndarray, max_distance: float
 ) -> np.ndarray:
-    """Compute the variance of rewards over the living drones near each drone, itself included.
+    """Compute the variance of rewards over the active drones near each drone, itself included.
 
     Args:
         reward: (W, N).
         position: (W, N, 3) m.
-        alive: (W, N) bool.
-        reach: Maximum distance of nearby drones, m.
+        alive: (W, N) bool, drones active before the decision.
+        max_distance: Maximum distance of nearby drones, m.
 
     Returns:
-        (W, N), 0 for drones that are not alive.
+        (W, N), 0 for inactive drones.
     """
     result = np.zeros(reward.shape)
     for w in range(alive.shape[0]):
@@ -229,7 +245,7 @@ def variance_nearby(
                 gap = 0.0
                 for k in range(3):
                     gap += (position[w, j, k] - position[w, i, k]) ** 2
-                if alive[w, j] and gap <= reach * reach:
+                if alive[w, j] and gap <= max_distance * max_distance:
                     count += 1
                     total += reward[w, j]
                     square += reward[w, j] ** 2
@@ -240,21 +256,27 @@ def variance_nearby(
 
 @kernel
 def sum_obstacle_nearness(
-    position: np.ndarray, obstacle: np.ndarray, reach: np.ndarray, d_safe: float, out: np.ndarray
+    position: np.ndarray,
+    obstacle: np.ndarray,
+    contact_distance: np.ndarray,
+    d_safe: float,
+    out: np.ndarray,
 ) -> None:
-    """Sum over obstacles the depth of drones within d_safe of them.
+    """Sum over obstacles their proximity to each drone.
+
+    The proximity is linear in the distance: 0 at d_safe from contact, 1 at contact or overlap.
 
     Args:
         position: (W, N, 3) m.
         obstacle: (W, K, 3) m.
-        reach: (K,) distances between centres at contact, m.
-        d_safe: m.
-        out: (W, N) output: for each obstacle 0 at d_safe from contact, 1 at contact.
+        contact_distance: (K,) distance between the centres of obstacle and drone at contact, m.
+        d_safe: Distance from contact at which the proximity begins, m.
+        out: (W, N) output.
     """
     for w in range(out.shape[0]):
         for i in range(out.shape[1]):
             out[w, i] = 0.0
             for k in range(obstacle.shape[1]):
                 away = minus(vec3(obstacle, w, k), vec3(position, w, i))
-                gap = math.sqrt(dot(away, away)) - reach[k]
+                gap = math.sqrt(dot(away, away)) - contact_distance[k]
                 out[w, i] += min(max(1.0 - gap / d_safe, 0.0), 1.0)

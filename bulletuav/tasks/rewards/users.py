@@ -23,7 +23,7 @@ def sight(sight: np.ndarray) -> float:
 @register("reward")
 @reward
 def served(served: float) -> float:
-    """Fraction of the active targets seen by at least one living drone."""
+    """Fraction of the active targets seen by at least one active drone."""
     return served
 
 
