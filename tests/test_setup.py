@@ -5,6 +5,7 @@ import re
 from pathlib import Path
 
 import pytest
+from packaging.requirements import Requirement
 
 from bulletuav.version import __version__
 
@@ -28,6 +29,29 @@ def test_extras_are_pinned_to_the_versions_of_the_suite_where_they_can_be(extra)
 
 def test_the_citation_is_of_this_version():
     assert f"\nversion: {__version__}\n" in (ROOT / "CITATION.cff").read_text()
+
+
+@pytest.mark.parametrize(
+    ("environment", "expected"),
+    [
+        ({}, True),
+        ({"python_version": "3.12"}, False),
+        ({"python_version": "3.14"}, False),
+        ({"platform_system": "Darwin"}, False),
+        ({"platform_system": "Windows", "platform_machine": "AMD64"}, False),
+        ({"platform_machine": "aarch64"}, False),
+        ({"platform_python_implementation": "PyPy"}, False),
+    ],
+)
+def test_pybullet_is_required_where_it_has_wheels(environment, expected):
+    setup = configparser.ConfigParser()
+    setup.read(ROOT / "setup.cfg")
+    lines = setup["options"]["install_requires"].split("\n")
+    (required,) = (Requirement(line) for line in lines if line.startswith("pybullet"))
+    here = {"python_version": "3.11", "platform_system": "Linux", "platform_machine": "x86_64"}
+    here["platform_python_implementation"] = "CPython"
+    assert required.marker.evaluate({**here, **environment}) == expected
+    assert setup["options.extras_require"]["bullet"].strip() == "pybullet>=3.2.6"
 
 
 def test_licenses_of_all_dependencies_are_told():
