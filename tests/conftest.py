@@ -36,7 +36,9 @@ settings.load_profile("bulletuav")
 def pytest_runtest_makereport(item, call):
     """Skip tests of what needs PyBullet, where it has no wheel and is not installed."""
     report = yield
-    if report.failed and not HAS_BULLET and "PyBullet is needed" in str(call.excinfo.value):
+    error = call.excinfo and call.excinfo.value
+    is_missing = isinstance(error, ImportError) and "PyBullet is needed" in str(error)
+    if is_missing and not HAS_BULLET:
         report.outcome = "skipped"
         report.longrepr = (str(item.path), item.location[1], "Skipped: needs PyBullet")
     return report
