@@ -273,7 +273,7 @@ def main() -> None:
     train(plan, args.seed, args.critic == "state", args.out)
     trained = time.perf_counter() - begin[0]
     result = bulletuav.evaluate(plan.task, args.out, args.episodes, 1000, **plan.evaluation)
-    where = plan.evaluation.get("dynamics", "bullet")
+    where = result.about["options"]["dynamics"]
     for metric in ("success", "conflict"):
         found = result.estimates()[metric]
         print(f"in {where}: {metric} {found.mean:.3f} ({found.low:.3f} to {found.high:.3f})")

@@ -19,6 +19,8 @@ import placing
 import pytest
 from hypothesis import settings
 
+from bulletuav.engine.calls import HAS_BULLET
+
 sys.dont_write_bytecode = False  # of this process, which began before
 
 # TorchRL sets "spawn" for the whole process when it is imported, if nobody has asked before.
@@ -28,6 +30,18 @@ settings.register_profile(
     "bulletuav", deadline=None, derandomize=True
 )  # the first call may compile
 settings.load_profile("bulletuav")
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(item, call):
+    """Skip tests of what needs PyBullet, where it has no wheel and is not installed."""
+    report = yield
+    error = call.excinfo and call.excinfo.value
+    is_missing = isinstance(error, ImportError) and "PyBullet is needed" in str(error)
+    if is_missing and not HAS_BULLET:
+        report.outcome = "skipped"
+        report.longrepr = (str(item.path), item.location[1], "Skipped: needs PyBullet")
+    return report
 
 
 @pytest.fixture(autouse=True, scope="module")

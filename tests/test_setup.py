@@ -1,59 +1,17 @@
-"""Installing: what setup.py says where pybullet cannot be built."""
+"""Installing: dependencies, their pins and licenses."""
 
 import configparser
 import re
-import runpy
-import sys
-import sysconfig
 from pathlib import Path
 
 import pytest
+from packaging.requirements import Requirement
 
 from bulletuav.version import __version__
 
 ROOT = Path(__file__).parents[1]
-SETUP = ROOT / "setup.py"
 OTHER = {"torchrl": set(), "benchmarl": {"torchrl", "tensordict"}}
 """Packages of which an extra needs another version than the suite"""
-
-
-@pytest.fixture
-def made(monkeypatch, tmp_path):
-    """What setup.py makes, on a machine without pybullet and without compilers."""
-    made = []
-    monkeypatch.setattr("setuptools.setup", lambda **given: made.append(given))
-    monkeypatch.setenv("PATH", str(tmp_path))
-    monkeypatch.setattr(sysconfig, "get_path", lambda name: str(tmp_path / name))
-    monkeypatch.setattr(sysconfig, "get_config_var", lambda name: "g++ -pthread")
-    monkeypatch.delenv("CXX", raising=False)
-    (tmp_path / "platlib").mkdir()
-    return made
-
-
-@pytest.mark.parametrize("version", [(3, 12, 1), (3, 13, 0), (3, 14, 0)])
-def test_without_a_wheel_and_a_compiler_one_line_tells_what_to_do(version, made, monkeypatch):
-    monkeypatch.setattr(sys, "version_info", version)
-    with pytest.raises(
-        SystemExit,
-        match=rf"no wheel for Python {version[0]}\.{version[1]}: .*apt-get install g\+\+",
-    ):
-        runpy.run_path(str(SETUP))
-    assert made == []
-
-
-def test_a_compiler_a_wheel_or_pybullet_itself_is_enough(made, monkeypatch, tmp_path):
-    monkeypatch.setattr(sys, "version_info", (3, 11, 7))
-    runpy.run_path(str(SETUP))
-    monkeypatch.setattr(sys, "version_info", (3, 12, 1))
-    (tmp_path / "platlib" / "pybullet.so").write_text("")
-    runpy.run_path(str(SETUP))
-    (tmp_path / "platlib" / "pybullet.so").unlink()
-    (tmp_path / "own-g++").write_text("#!/bin/sh\n")
-    (tmp_path / "own-g++").chmod(0o755)
-    monkeypatch.setenv("CXX", f"{tmp_path / 'own-g++'} -O2")
-    runpy.run_path(str(SETUP))
-    assert len(made) == 3
-    assert all(given["ext_modules"][0].optional for given in made)
 
 
 def pins(path):
@@ -71,6 +29,29 @@ def test_extras_are_pinned_to_the_versions_of_the_suite_where_they_can_be(extra)
 
 def test_the_citation_is_of_this_version():
     assert f"\nversion: {__version__}\n" in (ROOT / "CITATION.cff").read_text()
+
+
+@pytest.mark.parametrize(
+    ("environment", "expected"),
+    [
+        ({}, True),
+        ({"python_version": "3.12"}, False),
+        ({"python_version": "3.14"}, False),
+        ({"platform_system": "Darwin"}, False),
+        ({"platform_system": "Windows", "platform_machine": "AMD64"}, False),
+        ({"platform_machine": "aarch64"}, False),
+        ({"platform_python_implementation": "PyPy"}, False),
+    ],
+)
+def test_pybullet_is_required_where_it_has_wheels(environment, expected):
+    setup = configparser.ConfigParser()
+    setup.read(ROOT / "setup.cfg")
+    lines = setup["options"]["install_requires"].split("\n")
+    (required,) = (Requirement(line) for line in lines if line.startswith("pybullet"))
+    here = {"python_version": "3.11", "platform_system": "Linux", "platform_machine": "x86_64"}
+    here["platform_python_implementation"] = "CPython"
+    assert required.marker.evaluate({**here, **environment}) == expected
+    assert setup["options.extras_require"]["bullet"].strip() == "pybullet>=3.2.6"
 
 
 def test_licenses_of_all_dependencies_are_told():

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bulletuav.dynamics import DYNAMICS
+from bulletuav.engine.calls import HAS_BULLET
 from bulletuav.engine.engine import Engine
 from bulletuav.envs.aviary import Aviary
 from bulletuav.vehicle.airframes import load_airframe
@@ -25,6 +26,10 @@ SUBSTEPS = 24
 """Substeps of a decision: physics at 240 Hz, decisions at 10 Hz"""
 ENGINE_CASES = ("bare step", "engine calls")
 """Baseline cases, which call only the physics engine"""
+MEASURED = (
+    (*DYNAMICS, *ENGINE_CASES) if HAS_BULLET else tuple(one for one in DYNAMICS if one != "bullet")
+)
+"""Names of all cases that are possible here"""
 
 
 class BenchmarkResult(NamedTuple):
@@ -71,12 +76,16 @@ def _measure_size(
     cases: dict[str, Callable[[], object]] = {}
     resets: dict[str, Callable[[], object]] = {}
     # A case is a function that steps one decision. Engine cases have no reset.
-    aviaries = {name: make_hovering_aviary(1, num_drones, name) for name in DYNAMICS}
+    names = [name for name in MEASURED if name in DYNAMICS]
+    aviaries = {name: make_hovering_aviary(1, num_drones, name) for name in names}
+    made: list[Aviary | Engine] = list(aviaries.values())
     for name, aviary in aviaries.items():
         cases[name] = partial(aviary.step, np.zeros((1, num_drones, 3)))
         resets[name] = partial(aviary.reset, seeds=0)
-    engine, of_engine = make_engine_cases(1, num_drones)
-    cases |= of_engine
+    if HAS_BULLET:
+        engine, of_engine = make_engine_cases(1, num_drones)
+        made.append(engine)
+        cases |= of_engine
     rates: dict[str, list[float]] = {name: [] for name in cases}
     # Cases alternate, so that disturbances of the machine affect all of them.
     for _ in range(ROUNDS):
@@ -90,9 +99,8 @@ def _measure_size(
         reset = 1e3 / _per_second(resets[name], seconds / 3) if name in resets else float("nan")
         rate = statistics.median(rates[name])
         results.append(BenchmarkResult(name=name, num_drones=num_drones, rate=rate, reset_ms=reset))
-    engine.close()
-    for aviary in aviaries.values():
-        aviary.close()
+    for one in made:
+        one.close()
     return results
 
 

@@ -11,6 +11,7 @@ from bulletuav.bridges.airsim_drawing import DrawingProcess
 from bulletuav.bridges.airsim_images import Exposure, ImageRequest, make_exposures
 from bulletuav.bridges.airsim_world import AirsimWorld
 from bulletuav.bridges.sockets import LOG_NAME
+from bulletuav.engine.calls import require_bullet
 from bulletuav.engine.scene_copy import ScenePoses
 
 LOG = logging.getLogger(LOG_NAME)
@@ -103,6 +104,11 @@ class PictureQueue:
 
     def _start(self) -> None:
         """Start the process, and wait until it can render; runs in the thread."""
+        try:
+            require_bullet("AirSim's images")
+        except ImportError as error:
+            self._stop_reason = str(error)
+            raise DrawingError(self._stop_reason) from None
         try:
             with self._closing:
                 self._require_open()

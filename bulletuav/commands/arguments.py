@@ -35,7 +35,10 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--airframe", help=f"{', '.join(available_airframes())}, or the path of a URDF file"
     )
-    parser.add_argument("--dynamics", help=f"{', '.join(DYNAMICS)} (default: bullet)")
+    parser.add_argument(
+        "--dynamics",
+        help=f"{', '.join(DYNAMICS)} (default: bullet, or rigid_body without PyBullet)",
+    )
     parser.add_argument(
         "--action",
         help=f"action space: {', '.join(ACTIONS)} (default: that of the task, or one that the "

@@ -8,6 +8,7 @@ from rich.table import Table
 
 from bulletuav.analysis.benchmark import (
     ENGINE_CASES,
+    MEASURED,
     ROUNDS,
     SWARM_SIZES,
     BenchmarkResult,
@@ -15,7 +16,7 @@ from bulletuav.analysis.benchmark import (
 )
 from bulletuav.commands.output import print_table
 from bulletuav.commands.progress import show_progress
-from bulletuav.dynamics import DYNAMICS
+from bulletuav.engine.calls import HAS_BULLET
 from bulletuav.envs.aviary import Aviary
 
 SECONDS = 0.3
@@ -67,15 +68,16 @@ def run(arguments: argparse.Namespace) -> None:
     if min(sizes) < 1 or not seconds > 0:
         raise ValueError(f"--drones {sizes}, --seconds {seconds}: numbers above 0 are needed")
     # Interleave repeated measurements, so that all cases meet the same disturbances
-    total = len(sizes) * (len(DYNAMICS) + len(ENGINE_CASES)) * ROUNDS
+    total = len(sizes) * len(MEASURED) * ROUNDS
     done = itertools.count(1)
     with show_progress("measuring", total, "measurements") as report:
         results = measure_speed(sizes, seconds, lambda: report(next(done)))
     print_table(_table(results, sizes))
-    print(
-        "bare step: only the step of the physics engine\n"
-        "engine calls: the step and, for each drone, applying a wrench and reading the state"
-    )
+    if HAS_BULLET:
+        print(
+            "bare step: only the step of the physics engine\n"
+            "engine calls: the step and, for each drone, applying a wrench and reading the state"
+        )
 
 
 def _print_stages(task: str) -> None:

@@ -57,8 +57,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     # World and clock
     parser.add_argument(
         "--dynamics",
-        default="bullet",
-        help="bullet or rigid_body, the models with motors (default: bullet)",
+        help="bullet or rigid_body, the models with motors (default: bullet, or rigid_body without "
+        "PyBullet)",
     )
     parser.add_argument(
         "--wind",
@@ -85,11 +85,8 @@ def run(arguments: argparse.Namespace) -> None:
 
 def _options(arguments: argparse.Namespace) -> dict[str, Any]:
     """Collect the options of the airspace."""
-    return {
-        "dynamics": arguments.dynamics,
-        "wind": tuple(arguments.wind),
-        "seed": arguments.seed,
-    }
+    named = {} if arguments.dynamics is None else {"dynamics": arguments.dynamics}
+    return {**named, "wind": tuple(arguments.wind), "seed": arguments.seed}
 
 
 def _serve(

@@ -4,11 +4,32 @@ A dynamics model integrates one substep of flight. The base class resolves conta
 see `bulletuav.dynamics.base`.
 """
 
+import functools
+import warnings
+
 from bulletuav.dynamics.base import Dynamics
+from bulletuav.engine.calls import HAS_BULLET
+from bulletuav.errors import install
 from bulletuav.registry import find, require_declared
 
 DYNAMICS = ("single_integrator", "double_integrator", "point_mass", "rigid_body", "bullet")
 """Names of the built-in dynamics, the cheapest first"""
+DEFAULT_DYNAMICS = "bullet" if HAS_BULLET else "rigid_body"
+"""Name of the dynamics that flies if none is given"""
+
+
+@functools.cache
+def default_dynamics() -> str:
+    """Return `DEFAULT_DYNAMICS`; warn once in a process if PyBullet is not installed."""
+    if DEFAULT_DYNAMICS != "bullet":
+        warnings.warn(
+            f"PyBullet is not installed, so the default dynamics is {DEFAULT_DYNAMICS!r} instead "
+            f"of 'bullet': the same forces, integrated differently (about 2 cm apart after a "
+            f"second), so that results have other bits; name the dynamics to fly the same on all "
+            f"machines, or install PyBullet: {install('bullet')}",
+            stacklevel=2,
+        )
+    return DEFAULT_DYNAMICS
 
 
 def find_dynamics(source: str | type[Dynamics]) -> type[Dynamics]:

@@ -64,11 +64,12 @@ class Extension(NamedTuple):
     missing: str
 
 
-def load_extension(engine: str) -> Extension:
+def load_extension(engine: str | None) -> Extension:
     """Load the C extension.
 
     Args:
-        engine: Path of the pybullet module that is already loaded.
+        engine: Path of the pybullet module that is already loaded. If None, the extension is never
+            called, but compiled code still needs its functions for the types of `EnginePort`.
 
     Returns:
         The extension, or the reason why it is not available.
@@ -88,8 +89,7 @@ def load_extension(engine: str) -> Extension:
     except (OSError, AttributeError) as error:
         missing = f"built for something else, install bulletuav again: {error}"
         return Extension(None, spec.origin, missing)
-    lacking = library.batch_find(os.fsencode(engine))
-    if lacking:
+    if engine is not None and (lacking := library.batch_find(os.fsencode(engine))):
         missing = f"{Path(engine).name} does not offer {lacking.decode()}"
         return Extension(None, spec.origin, missing)
     return Extension(library, spec.origin, "")

@@ -1,19 +1,68 @@
 """Calls of Bullet in every substep, body by body through pybullet.
 
+No other module imports pybullet, which is optional: where it cannot be imported, any use of
+`bullet` raises one ImportError. Worlds never use it unless their dynamics, rays, contacts or
+pictures are Bullet's.
+
 `CExtension` implements the same calls in C, with equal bits. Arrays are float64 and contiguous, and
 their first axis is that of drones or bodies. Positions are in Bullet's frame.
 """
 
 import sys
+from typing import Any
 
 import numpy as np
 
 from bulletuav.engine.silence import silenced
+from bulletuav.errors import install
 
-with silenced():
-    import pybullet
 
-bullet = pybullet
+class _MissingBullet:
+    """Replacement for pybullet where it cannot be imported; any use raises ImportError."""
+
+    def __init__(self, reason: str) -> None:
+        self.reason = reason
+
+    def __getattr__(self, name: str) -> Any:
+        # Tools that inspect modules look for such names
+        if name.startswith("__"):
+            raise AttributeError(name)
+        raise _make_error("dynamics, rays, contacts and the renderer of Bullet", self.reason)
+
+
+def _make_error(what: str, reason: str) -> ImportError:
+    """Return the error for a feature that needs PyBullet."""
+    return ImportError(
+        f"PyBullet is needed for {what}, but cannot be imported ({reason}): use dynamics "
+        f"'rigid_body' and the observation 'ray_depth' instead, or install it by "
+        f"{install('bullet')}; it has wheels for Python 3.11 on Linux x86-64 only, elsewhere pip "
+        f"compiles it for 10 to 40 minutes, which needs a C++ compiler"
+    )
+
+
+bullet: Any
+try:
+    with silenced():
+        import pybullet
+    bullet = pybullet
+except ImportError as error:
+    bullet = _MissingBullet(str(error))
+HAS_BULLET = not isinstance(bullet, _MissingBullet)
+"""Whether PyBullet is installed"""
+
+
+def require_bullet(what: str) -> None:
+    """Check that PyBullet is installed, before its first use.
+
+    Args:
+        what: The feature that needs PyBullet, such as "dynamics 'bullet'".
+
+    Raises:
+        ImportError: If PyBullet cannot be imported. The message contains the reason and the remedy.
+    """
+    if isinstance(bullet, _MissingBullet):
+        raise _make_error(what, bullet.reason)
+
 
 # Collision groups. Bullet's rays belong to the first group; ground and obstacles are surfaces. A
 # city has bodies that only drones collide with, and bodies that only rays hit.

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from bulletuav.engine.bodies import Body, rims
-from bulletuav.engine.calls import bullet
+from bulletuav.engine.calls import HAS_BULLET, bullet
 from bulletuav.engine.client import disconnect, open_client
 from bulletuav.engine.silence import silenced
 from bulletuav.geometry.shapes import CYLINDER, Shape
@@ -100,9 +100,9 @@ def _load(client: int, urdf: Path, file: Path, place: Sequence[float]) -> Body:
 def require_loadable(airframes: Iterable[Airframe]) -> None:
     """Raise ValueError if Bullet cannot load the URDF of an airframe.
 
-    The drones themselves may be created much later, or never.
+    The drones themselves may be created much later, or never, as without PyBullet.
     """
-    for urdf in {airframe.urdf for airframe in airframes}:
+    for urdf in {airframe.urdf for airframe in airframes} if HAS_BULLET else ():
         _try_once(urdf, urdf.read_bytes())
 
 

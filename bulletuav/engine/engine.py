@@ -1,6 +1,6 @@
 """The engine: W worlds of N drones as tiles of one Bullet client, with array arguments.
 
-Only modules of `bulletuav.engine` import pybullet. The rest of the package relies on three
+Only modules of `bulletuav.engine` call pybullet. The rest of the package relies on three
 properties, which tests check: bodies have neither Bullet's default damping nor its velocity limit;
 resets in place leave no trace of the past; worlds do not influence each other.
 """
@@ -39,8 +39,7 @@ from bulletuav.geometry.solids import Solids
 from bulletuav.vehicle.airframe import Airframe
 from bulletuav.vehicle.swarm import FIRST_OBSTACLE, Swarm
 
-ENGINE_VERSION: int = bullet.getAPIVersion()
-EXTENSION = load_extension(bullet.__file__)
+EXTENSION = load_extension(getattr(bullet, "__file__", None))
 
 RAY_METHODS = {"compiled": True, "bullet": False}
 """Ray casting methods by name, and whether they are compiled code"""
@@ -113,6 +112,8 @@ class Engine(EngineQueries):
         self.bodies = np.zeros(num_worlds, dtype=np.uint64)
         # Masses and inertias of bodies that are not created yet
         self._masses: dict[int, tuple[np.ndarray, np.ndarray]] = {}
+        # Whether `set_obstacles` was called before the bodies are created
+        self._has_placed_obstacles = False
         self._contents = Contents(
             airframes,
             obstacles,
@@ -144,8 +145,13 @@ class Engine(EngineQueries):
         how = (self.dt, self._live, self.asks_bodies)
         made = make_in_bullet(self._contents, *how, self._open, self._extension)
         self._rest(made.calls, np.ones(self.shape, dtype=bool))
+        # Apply the calls that came before
         for world, masses in self._masses.items():
             made.set_masses(world, *masses)
+        if self._has_placed_obstacles:
+            self._move_obstacles(made, np.ones(self.shape[0], dtype=bool))
+        for added in self._added_pieces:
+            made.bodies.add(*added)
         return made
 
     @property
@@ -181,9 +187,9 @@ class Engine(EngineQueries):
     @property
     def surface_port(self) -> EnginePort | None:
         """Like `port`, for `surface_below` only: compiled rays do not need Bullet."""
-        if self._compiled and self._extension.library is not None:
-            return self._port(NO_SESSION, self._extension.library)
-        return self.port
+        if self._extension.library is None:
+            return None
+        return self._port(NO_SESSION, self._extension.library) if self._compiled else self.port
 
     def _port(self, session: int, library: PyDLL) -> EnginePort:
         """Build the port of a session."""
@@ -240,9 +246,9 @@ class Engine(EngineQueries):
         """
         if self.obstacle_radius.size:
             self.note_obstacles(position, quaternion, worlds)
-            bodies = self._bullet.bodies.obstacle[worlds].ravel()
-            place = (position + self._offset)[worlds].reshape(-1, 3)
-            self._bullet.calls.pose(bodies, place, quaternion[worlds].reshape(-1, 4))
+            self._has_placed_obstacles = True
+            if self._is_made:
+                self._move_obstacles(self._bullet, worlds)
 
     @property
     def asks_bodies(self) -> bool:
@@ -251,11 +257,15 @@ class Engine(EngineQueries):
 
     def show_obstacles(self) -> None:
         """Move the obstacles' bodies to the poses in the scenery."""
+        if self.obstacle_radius.size:
+            self._move_obstacles(self._bullet, np.ones(self.shape[0], dtype=bool))
+
+    def _move_obstacles(self, made: InBullet, worlds: np.ndarray) -> None:
+        """Move the obstacles' bodies in the worlds of `worlds` (W,) to the poses in the scenery."""
         count = self.obstacle_radius.size
-        if count:
-            place = (self._scenery.place[:, :count] + self._offset).reshape(-1, 3)
-            turn = self._scenery.quaternion[:, :count].reshape(-1, 4)
-            self._bullet.calls.pose(self._bullet.bodies.obstacle.ravel(), place, turn)
+        place = (self._scenery.place[:, :count] + self._offset)[worlds].reshape(-1, 3)
+        turn = self._scenery.quaternion[:, :count][worlds].reshape(-1, 4)
+        made.calls.pose(made.bodies.obstacle[worlds].ravel(), place, turn)
 
     def add_body(
         self,
@@ -302,7 +312,8 @@ class Engine(EngineQueries):
             in_bullet = places[worlds, p] + self._offset[worlds, 0]
             poses = list(zip(in_bullet.tolist(), turns[worlds, p].tolist(), strict=True))
             added = AddedPiece(piece.shape, like.colour, poses, other)
-            self._bullet.bodies.add(*added)
+            if self._is_made:
+                self._bullet.bodies.add(*added)
             self._added_pieces.append(added)
         self._scenery = scenery
         self._num_added += 1

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from bulletuav.control.setpoint import SetpointLevel
+from bulletuav.dynamics import default_dynamics
 from bulletuav.dynamics.divergence import FASTEST, FASTEST_SPIN
 from bulletuav.dynamics.setpoints import CONVERTED
 from bulletuav.engine.parking import PARKING_HEIGHT
@@ -103,6 +104,8 @@ def airspace_options(
         )
     # Default values follow from the airframes
     values = dict(given)
+    if "dynamics" not in values:
+        values["dynamics"] = default_dynamics()
     make_tuples(values)
     values["airframe"] = load_airframes(airframe, len(places))
     values.setdefault("max_speed", min(one.max_speed for one in values["airframe"]))

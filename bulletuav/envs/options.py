@@ -8,7 +8,7 @@ from typing import Any
 from bulletuav.control.actions import ACTIONS
 from bulletuav.control.cascade import CONTROLLERS, PID_LEVELS
 from bulletuav.control.setpoint import SetpointLevel
-from bulletuav.dynamics import find_dynamics
+from bulletuav.dynamics import DEFAULT_DYNAMICS, find_dynamics
 from bulletuav.engine.engine import RAY_METHODS
 from bulletuav.envs.randomization import CERTAIN, Randomization
 from bulletuav.envs.rates import MAX_HZ, decision_rate, picture_rate
@@ -72,7 +72,8 @@ class EnvOptions:
             max_speed.
         dynamics: "bullet" (Bullet's rigid bodies), "rigid_body" (the same forces, integrated by
             RK4), "point_mass", "double_integrator" or "single_integrator"; `module:Name`, or a
-            class derived from `bulletuav.dynamics.base.Dynamics`.
+            class derived from `bulletuav.dynamics.base.Dynamics`. The default is "bullet", or
+            "rigid_body", with a warning, where PyBullet is not installed.
         observation: Names of observation blocks and of sensor readings, or block objects, which are
             concatenated; None for the task's default.
         observation_format: "vector", or "dict" with an entry for each block.
@@ -135,7 +136,7 @@ class EnvOptions:
     decision_hz: float
     horizon: int
     max_speed: float
-    dynamics: str = "bullet"
+    dynamics: str = DEFAULT_DYNAMICS
     observation: tuple[Any, ...] | None = None
     observation_format: str = "vector"
     sensors: tuple[Any, ...] = ()

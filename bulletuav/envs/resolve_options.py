@@ -7,7 +7,7 @@ from typing import Any, Literal, NamedTuple
 
 from bulletuav.control.actions import usable_action
 from bulletuav.control.setpoint import SetpointLevel
-from bulletuav.dynamics import find_dynamics
+from bulletuav.dynamics import default_dynamics, find_dynamics
 from bulletuav.dynamics.base import Dynamics
 from bulletuav.envs.options import (
     LIST_OPTIONS,
@@ -92,10 +92,12 @@ def resolve_options(task: type[Task[Any]], given: Mapping[str, Any]) -> Resolved
     for name in NEVER_NONE:
         if values.get(name, "") is None:
             raise ValueError(f"{name} is None: leave it out for the task's default")
+    if "dynamics" not in values:
+        values["dynamics"] = default_dynamics()
     make_tuples(values)
     _load_airframes(values, given)
     if "action" not in given:
-        values["action"] = _default_action(values)
+        values["action"] = action_for(values["dynamics"], values["action"], values["airframe"])
     sensors = known_sensors(values.get("sensors", ()))
     known = known_uncertainties(sensors)
     values["randomization"] = Randomization(values.get("randomization"), known)
@@ -173,11 +175,6 @@ def _load_airframes(values: dict[str, Any], given: Mapping[str, Any]) -> None:
     if "max_speed" not in given:
         limit = finite("max_speed", values["max_speed"])
         values["max_speed"] = min(limit, *(one.max_speed for one in values["airframe"]))
-
-
-def _default_action(values: Mapping[str, Any]) -> str:
-    dynamics = values.get("dynamics", EnvOptions.dynamics)
-    return action_for(dynamics, values["action"], values["airframe"])
 
 
 def action_for(dynamics: str | type[Dynamics], action: str, airframes: Sequence[Airframe]) -> str:

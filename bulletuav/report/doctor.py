@@ -7,15 +7,21 @@ import re
 from typing import NamedTuple
 
 from bulletuav.compiled.kernel import cache_folder
-from bulletuav.engine.engine import ENGINE_VERSION, EXTENSION, Engine
+from bulletuav.dynamics import DEFAULT_DYNAMICS
+from bulletuav.engine.calls import HAS_BULLET
+from bulletuav.engine.engine import EXTENSION, Engine
 from bulletuav.engine.screen import require_screen
 from bulletuav.errors import install
 from bulletuav.vehicle.airframes import load_airframe
 from bulletuav.version import __version__
 
-PACKAGES = ("pybullet", "numpy", "numba", "scipy", "gymnasium", "pettingzoo", "matplotlib")
+PACKAGES = ("numpy", "numba", "scipy", "gymnasium", "pettingzoo", "matplotlib")
 REQUIREMENT = re.compile(r"([\w.-]+)(?:\[([\w.-]+)\])?.*extra == ['\"]([\w.-]+)['\"]")
 """A requirement of the metadata: package, its extra, and our extra that needs it"""
+WITHOUT_BULLET = (
+    "not installed: dynamics, rays and contacts 'bullet', the observations 'rgb', 'depth' and "
+    f"'segmentation', and rendered pictures are not available; the default is {DEFAULT_DYNAMICS}"
+)
 SLOW_ENGINE = "not active, bullet flies several times slower"
 
 
@@ -44,8 +50,8 @@ def examine() -> list[Finding]:
     return [
         Finding("bulletuav", __version__),
         Finding("Python", system),
+        _bullet(),
         *packages,
-        Finding("engine", f"Bullet API {ENGINE_VERSION}"),
         _extension(),
         Finding("compiled kernels", str(cache_folder())),
         _screen(),
@@ -53,10 +59,19 @@ def examine() -> list[Finding]:
     ]
 
 
+def _bullet() -> Finding:
+    """Examine PyBullet, which is optional."""
+    if HAS_BULLET:
+        return Finding("pybullet", importlib.metadata.version("pybullet"))
+    return Finding("pybullet", WITHOUT_BULLET, install("bullet"))
+
+
 def _extension() -> Finding:
     """Check whether the engine uses the C extension, not only whether it exists."""
     if EXTENSION.library is None:
         return Finding("C extension", SLOW_ENGINE, EXTENSION.missing)
+    if not HAS_BULLET:
+        return Finding("C extension", "installed, not used without pybullet")
     engine = Engine([load_airframe("cf2x")], 1, 1 / 240)
     active = engine.port is not None
     engine.close()

@@ -21,6 +21,8 @@ from bulletuav.analysis.seals import (
     parse_call,
 )
 from bulletuav.analysis.transitions import DATASET
+from bulletuav.dynamics import DYNAMICS
+from bulletuav.engine.calls import require_bullet
 from bulletuav.envs.aviary import Aviary
 from bulletuav.errors import naming, read_file, shown
 from bulletuav.parsing import read_json
@@ -104,7 +106,8 @@ class Verifier(NamedTuple):
         Raises:
             FileNotFoundError: If the path does not exist.
             ValueError: If the files are none of these, cannot be read, or cannot be flown again.
-            ImportError: If the extra `dataset`, which datasets need, is not installed.
+            ImportError: If the extra `dataset`, which datasets need, is not installed; or PyBullet,
+                if the flights used it.
         """
         if not path.exists():
             raise FileNotFoundError(f"there is no {path}: pass a file or a folder of results")
@@ -132,7 +135,7 @@ class Verifier(NamedTuple):
     def _recording(self, folder: Path, about: dict[str, Any]) -> list[Check]:
         """Repeat the flight of a recording that `bulletuav fly` wrote."""
         recording = load(folder)
-        call = parse_call(about["call"], self.trust, folder / RUN)
+        call = self._parse_call(about, folder / RUN)
         if lacking := {"policy", "seed", "num_worlds"} - set(call):
             raise ValueError(f"{folder / RUN} is damaged: its call lacks {min(lacking)}")
         aviary = Aviary(call["task"], call["num_worlds"], **call["options"])
@@ -174,7 +177,7 @@ class Verifier(NamedTuple):
         """Repeat a dataset of `bulletuav dataset`, and compare rows of tables and final states."""
         from bulletuav.analysis.dataset import collect  # which needs an extra
 
-        call = parse_call(about["call"], self.trust, folder / DATASET)
+        call = self._parse_call(about, folder / DATASET)
         options = call.pop("options")
         with (
             self._advance(about["episodes"]) as advance,
@@ -195,7 +198,7 @@ class Verifier(NamedTuple):
 
     def _fly(self, cases: list[dict[str, Any]], folder: Path) -> list[Evaluation]:
         """Repeat evaluations."""
-        calls = [parse_call(case["call"], self.trust, folder) for case in cases]
+        calls = [self._parse_call(case, folder) for case in cases]
         for call in calls:
             if isinstance(call.get("policy"), str):
                 call["policy"] = call["policy"].replace(ROW_POLICY, str(folder))
@@ -206,6 +209,26 @@ class Verifier(NamedTuple):
                 for case, call in zip(cases, calls, strict=True)
                 for options in (call.pop("options"),)
             ]
+
+    def _parse_call(self, about: Mapping[str, Any], path: Path) -> dict[str, Any]:
+        """Parse the call of flights, and add the dynamics that flew them.
+
+        If a call names no dynamics, the default depends on whether PyBullet is installed.
+
+        Args:
+            about: Description of the flights.
+            path: Its file or folder, for messages.
+
+        Raises:
+            ImportError: If the flights used PyBullet, which is missing.
+        """
+        call = parse_call(about["call"], self.trust, path)
+        flown, options = about.get("options"), call["options"]
+        if isinstance(flown, dict) and flown.get("dynamics") in DYNAMICS:
+            options.setdefault("dynamics", flown["dynamics"])
+        if options.get("dynamics") == "bullet":
+            require_bullet(f"{path}, which was flown with dynamics 'bullet'")
+        return call
 
     @contextlib.contextmanager
     def _advance(self, episodes: int) -> Iterator[Callable[[int], None]]:

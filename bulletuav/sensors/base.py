@@ -200,7 +200,7 @@ class Sensor(ABC):
     gives: ClassVar[tuple[str, ...]] = ()
     uncertain: ClassVar[Mapping[str, Uncertain]] = MappingProxyType({})
     prefix: ClassVar[str]
-    needs_bodies: ClassVar[bool] = False
+    needs_bodies: bool = False
     always_if_uncertain: ClassVar[bool] = False
 
     setup: SensorSetup

@@ -1,10 +1,10 @@
 """Forward camera on each drone: rendered images, or depth images by ray casting."""
 
 from collections.abc import Mapping
-from typing import ClassVar
 
 import numpy as np
 
+from bulletuav.engine.calls import require_bullet
 from bulletuav.engine.engine import Engine
 from bulletuav.geometry.rotation import axes
 from bulletuav.geometry.view import DRONE, FAR, SKY, projection_matrix, view_matrix
@@ -39,7 +39,6 @@ class Camera(Sensor):
 
     name = "camera"
     gives = tuple(IMAGES)
-    needs_bodies: ClassVar = True
 
     def labels(self, setup: SensorSetup) -> Mapping[str, tuple[Label, ...] | Image]:
         """Return the pixel types of the images."""
@@ -58,6 +57,9 @@ class Camera(Sensor):
             for name, image in IMAGES.items()
             if name in setup.wanted
         }
+        self.needs_bodies = not self.pictures.keys().isdisjoint(RENDERED)
+        if self.needs_bodies:
+            require_bullet("the observations 'rgb', 'depth' and 'segmentation'")
         half = np.tan(np.radians(FIELD_OF_VIEW) / 2)
         # Rays through the pixel corners that the renderer samples, up to the plane at distance FAR;
         # hit fractions of these rays are depths.
@@ -76,7 +78,7 @@ class Camera(Sensor):
         swarm, mask = moment.after, moment.mask
         exposed = moment.steps % self.setup.camera_every == 0
         due = np.argwhere(mask & exposed[:, None])
-        if not self.pictures.keys().isdisjoint(RENDERED):
+        if self.needs_bodies:
             self._render(swarm, due)
         if "ray_depth" in self.pictures and len(due):
             self._cast(swarm, mask, due)

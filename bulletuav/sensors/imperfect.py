@@ -57,7 +57,6 @@ class Imperfect(Sensor):
         self.name = sensor.name  # type: ignore[misc]  # name of the wrapped sensor
         self.gives = sensor.gives  # type: ignore[misc]
         self.prefix = sensor.prefix  # type: ignore[misc]
-        self.needs_bodies = sensor.needs_bodies  # type: ignore[misc]
         self.always_if_uncertain = sensor.always_if_uncertain  # type: ignore[misc]
         self._keys: dict[str, str] = {}
         own: dict[str, Uncertain] = {}
@@ -82,6 +81,7 @@ class Imperfect(Sensor):
         """Attach the wrapped sensor, and convert rate and delay to decisions."""
         super().attach(setup, engine)
         self.sensor = self.sensor.attached(setup, engine)
+        self.needs_bodies = self.sensor.needs_bodies
         self._images = {
             name: one for name, one in self.labels(setup).items() if isinstance(one, Image)
         }

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from bulletuav.analysis.conditions import Conditions
+from bulletuav.engine.calls import HAS_BULLET
 from bulletuav.envs.resolve_options import resolve_options
 from bulletuav.errors import read_file, reason_of, shown
 from bulletuav.files import replace_file, whole_file
@@ -47,7 +48,7 @@ PACKAGES = (
     "numba",
     "pybullet",
 )
-"""Packages whose versions may affect the weights"""
+"""Packages whose versions may affect the weights; PyBullet is optional"""
 Row = dict[str, float]
 """A row of the learning curve"""
 
@@ -93,7 +94,8 @@ class Store:
         self.updates: list[Row] = []
         self.curriculum: dict[str, Any] = {}
         self._config = config
-        about = "# " + ", ".join(f"{name} {version(name)}" for name in PACKAGES)
+        packages = [name for name in PACKAGES if name != "pybullet" or HAS_BULLET]
+        about = "# " + ", ".join(f"{name} {version(name)}" for name in packages)
         try:
             (folder / CHECKPOINTS).mkdir(parents=True, exist_ok=True)
             if (folder / STATE).exists():

@@ -243,3 +243,24 @@ def test_files_that_cannot_be(make_bench, tmp_path):
     (tmp_path / "many.obj").write_text("\n".join(objects))
     with pytest.raises(ValueError, match="1025 pieces: at most 1024"):
         engine.add_body(tmp_path / "many.obj", (0, 0, 0))
+
+
+def test_bodies_that_are_made_at_the_first_picture_look_like_those_made_before():
+    """Until then obstacles and bodies are only noted, so that flights need no PyBullet."""
+    pictures = []
+    for early in (False, True):
+        obstacles = [Obstacle("sphere", (0.5,))]
+        options = {"dynamics": "point_mass", "obstacles": obstacles}
+        with bulletuav.Airspace([(0.0, 0.0, 1.0)], **options) as airspace:
+            if early:
+                airspace.world.engine.make_bodies()
+            airspace.place_obstacle(0, (3.0, 1.0, 1.0))
+            airspace.add_body(
+                np.array([(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 2)]), (3.0, -1.0, 0)
+            )
+            assert airspace.world.engine._is_made == early
+            view = {"position": (-1.0, 0.0, 2.0), "target": (3.0, 0.0, 1.0), "size": (64, 48)}
+            pictures.append(airspace.picture(**view))
+    assert (pictures[0].labels == OBSTACLE).sum() > 100
+    for one, other in zip(*pictures, strict=True):
+        np.testing.assert_array_equal(one, other)

@@ -8,10 +8,10 @@ import weakref
 import bench
 import numpy as np
 import psutil
-import pybullet as bullet
 import pytest
 
 import bulletuav
+from bulletuav.engine.calls import bullet
 from bulletuav.engine.engine import Engine
 from bulletuav.engine.parking import PARKING_HEIGHT
 from bulletuav.engine.tiles import TILE_PITCH, tile_offset

@@ -153,6 +153,14 @@ def test_a_kill_between_two_files_of_the_last_chapter_costs_no_more_than_it(
     assert (tmp_path / "curve.csv").read_text().count("\n") == 5
 
 
+def test_the_versions_of_a_run_leave_out_pybullet_where_it_is_not_installed(tmp_path, monkeypatch):
+    monkeypatch.setattr("bulletuav.training.store.HAS_BULLET", False)
+    Store(tmp_path, config())
+    first_line = (tmp_path / "run.yaml").read_text().splitlines()[0]
+    assert "numba" in first_line
+    assert "pybullet" not in first_line
+
+
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
     folder = tmp_path_factory.mktemp("runs") / "run"
