@@ -16,6 +16,7 @@ PACKAGE = Path(__file__).parents[1] / "bulletuav"
 ROOMS = (
     ("version", "errors", "interrupts"),
     ("compiled", "files", "parsing", "registry"),
+    ("catalogue",),
     ("geometry", "earth"),
     ("conflict", "vehicle"),
     ("engine", "control"),
