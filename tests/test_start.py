@@ -70,7 +70,8 @@ def test_the_arguments_of_commands_import_nothing_slow(name):
 def test_completion_imports_nothing_slow(line):
     pytest.importorskip("argcomplete", reason="needs the extra completion")
     asked = COMPLETION | {"COMP_LINE": line, "COMP_POINT": str(len(line))}
-    assert not imported(COMMAND, **asked) & SLOW
+    program = "import os\nos._exit = sys.exit\n" + COMMAND  # as exit handlers report the modules
+    assert not imported(program, **asked) & SLOW
 
 
 # Names
@@ -159,7 +160,6 @@ env = gymnasium.make_vec("bulletuav/Crossing-v1", 2, dynamics="point_mass")
 if hasattr(pettingzoo, "register"):
     pettingzoo.make("parallel", "bulletuav/Hover-v1", dynamics="point_mass")
     pettingzoo.make("aec", "bulletuav/Hover-v1", dynamics="point_mass")
-    assert len(pettingzoo.aec_registry) == len(pettingzoo.parallel_registry)
 """
 
 
