@@ -1,6 +1,6 @@
 """Build of the optional C extension, and a plain message where pybullet cannot be built.
 
-Everything else about the package is in setup.cfg.
+Everything else about the package is in pyproject.toml.
 """
 
 import os

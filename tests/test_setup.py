@@ -1,10 +1,10 @@
 """Installing: what setup.py says where pybullet cannot be built."""
 
-import configparser
 import re
 import runpy
 import sys
 import sysconfig
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -74,13 +74,12 @@ def test_the_citation_is_of_this_version():
 
 
 def test_licenses_of_all_dependencies_are_told():
-    setup = configparser.ConfigParser()
-    setup.read(ROOT / "setup.cfg")
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     wanted = {}
-    lists = {"always": setup["options"]["install_requires"], **setup["options.extras_require"]}
-    for extra, lines in lists.items():
-        for line in filter(None, map(str.strip, lines.splitlines())):
-            name = re.split(r"[\[<>=]", line)[0]
+    lists = {"always": project["dependencies"], **project["optional-dependencies"]}
+    for extra, requirements in lists.items():
+        for requirement in requirements:
+            name = re.split(r"[\[<>= ;]", requirement)[0]
             if name != "bulletuav":
                 wanted.setdefault(name, set()).add(extra)
     _, told_of = (ROOT / "THIRD_PARTY.md").read_text().split("## What it is installed with")
