@@ -74,6 +74,21 @@ def test_completion_imports_nothing_slow(line):
     assert not imported(program, **asked) & SLOW
 
 
+STEP = """
+import bulletuav
+env = bulletuav.parallel_env("crossing", num_drones=2)
+env.reset(seed=0)
+env.step({agent: env.action_space(agent).sample() for agent in env.agents})
+"""
+
+
+def test_a_first_step_imports_no_more_than_it_needs():
+    """Numba imports SciPy's linear algebra where code is compiled, and not where it is loaded."""
+    unneeded = SLOW - {"gymnasium", "numba", "pettingzoo", "pybullet", "scipy"} | {"scipy.linalg"}
+    first = imported(STEP) & unneeded
+    assert not first or not imported(STEP) & unneeded  # the first may compile
+
+
 # Names
 
 
