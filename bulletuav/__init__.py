@@ -9,6 +9,7 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 from bulletuav import interrupts  # noqa: F401  # first: it handles Ctrl-C during other imports
+from bulletuav.deferred_import import import_name
 from bulletuav.envs.registration import register_on_import, register_plugins
 from bulletuav.version import __version__ as __version__
 
@@ -61,7 +62,7 @@ else:  # type checkers would take any name for an attribute if they saw `__getat
     def __getattr__(name: str) -> Any:
         """Import a public name or a subpackage, and keep it."""
         if name in MODULES:
-            found = getattr(importlib.import_module(MODULES[name]), name)
+            found = import_name(MODULES[name], name)
             register_plugins()
         else:
             found = _import_subpackage(f"{__name__}.{name}")

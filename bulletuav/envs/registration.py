@@ -8,12 +8,27 @@ gets the ids as soon as it is imported, whichever package is imported first.
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from types import ModuleType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
+
+from bulletuav.deferred_import import import_name
 
 if TYPE_CHECKING:
     from importlib.machinery import ModuleSpec
 
-ENVS = "bulletuav.envs"
+ENTRY_POINTS = {
+    "CentralAviary": "bulletuav.envs.gymnasium",
+    "CentralVectorAviary": "bulletuav.envs.gymnasium",
+    "aec_env": "bulletuav.envs.parallel",
+    "parallel_env": "bulletuav.envs.parallel",
+}
+"""Module of each class or function that makes an environment; imported on first use"""
+
+
+def __getattr__(name: str) -> Any:
+    """Import what makes an environment, for `make` of Gymnasium and PettingZoo."""
+    if name not in ENTRY_POINTS:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return import_name(ENTRY_POINTS[name], name)
 
 
 def format_id(task: str, version: int) -> str:
@@ -28,8 +43,8 @@ def register_gymnasium(tasks: Mapping[str, str]) -> None:
     for name in tasks.keys() - gymnasium.registry:
         gymnasium.register(
             name,
-            entry_point=f"{ENVS}.gymnasium:CentralAviary",
-            vector_entry_point=f"{ENVS}.gymnasium:CentralVectorAviary",
+            entry_point=f"{__name__}:CentralAviary",
+            vector_entry_point=f"{__name__}:CentralVectorAviary",
             kwargs={"task": tasks[name]},
         )
 
@@ -43,7 +58,7 @@ def register_pettingzoo(tasks: Mapping[str, str]) -> None:
         return
     for kind in ("parallel", "aec"):
         for name in tasks.keys() - getattr(pettingzoo, f"{kind}_registry"):
-            entry_point = f"{ENVS}.parallel:{kind}_env"
+            entry_point = f"{__name__}:{kind}_env"
             pettingzoo.register(kind, name, entry_point, kwargs={"task": tasks[name]})
 
 
