@@ -1,6 +1,6 @@
 """Build of the optional C extensions.
 
-Everything else about the package is in setup.cfg.
+Everything else about the package is in pyproject.toml.
 """
 
 import shutil

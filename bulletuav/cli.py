@@ -18,9 +18,7 @@ from types import ModuleType
 from typing import Any, NoReturn
 
 from bulletuav import interrupts
-from bulletuav.errors import missing_extra, unknown
-from bulletuav.policies import policy_names
-from bulletuav.tasks import list_tasks
+from bulletuav.commands.parsers.deferred import DeferredHelp
 from bulletuav.version import __version__
 
 COMMANDS = (
@@ -42,7 +40,7 @@ COMMANDS = (
     "benchmark",
     "doctor",
 )
-"""Names of the commands, and of their modules in `bulletuav.commands`"""
+"""Names of the commands, and of their modules in `bulletuav.commands` and its `parsers`"""
 DESCRIPTION = """A drone-swarm gym on PyBullet: flies drones through tasks, draws the flights,
 trains policies and compares them."""
 EPILOG = """first example:
@@ -59,6 +57,10 @@ class _Formatter(argparse.RawDescriptionHelpFormatter):
             return super()._fill_text(text, width, indent)
         return textwrap.fill(text, width, initial_indent=indent, subsequent_indent=indent)
 
+    def _get_help_string(self, action: argparse.Action) -> str | None:
+        help_text = action.help
+        return help_text.compose() if isinstance(help_text, DeferredHelp) else help_text
+
 
 class _Parser(argparse.ArgumentParser):
     """Parser that reports an error as one line on standard error and exits with code 2."""
@@ -69,8 +71,13 @@ class _Parser(argparse.ArgumentParser):
     def _check_value(self, action: argparse.Action, value: Any) -> None:
         """Suggest the closest match for an invalid choice, as argparse of Python 3.14 does."""
         if action.choices is not None and value not in action.choices:
+            from bulletuav.errors import unknown  # which imports NumPy
+
             what = "command" if action.dest == "command" else f"value of {action.option_strings[0]}"
             raise argparse.ArgumentError(None, str(unknown(what, value, action.choices)))
+
+    def _check_help(self, action: argparse.Action) -> None:
+        """Do not compose help texts when an argument is added, as Python 3.14 does."""
 
 
 def _module(name: str) -> ModuleType:
@@ -83,7 +90,7 @@ def _parser(words: Sequence[str]) -> tuple[_Parser, dict[str, _Parser]]:
 
     Args:
         words: Arguments after `bulletuav`. If the first one is a command, only the parser of this
-            command is built.
+            command is built, and otherwise all without their arguments.
     """
     parser = _Parser(
         prog="bulletuav",
@@ -100,15 +107,17 @@ def _parser(words: Sequence[str]) -> tuple[_Parser, dict[str, _Parser]]:
         parser_class=_Parser,
     )
     commands = {}
-    for name in words[:1] if words and words[0] in COMMANDS else COMMANDS:
-        command = _module(name)
+    is_command = bool(words) and words[0] in COMMANDS
+    for name in words[:1] if is_command else COMMANDS:
+        declaration = _module(f"parsers.{name}")
         commands[name] = adder.add_parser(
             name,
-            **command.ABOUT,
+            **declaration.ABOUT,
             formatter_class=_Formatter,
             allow_abbrev=False,
         )
-        command.add_arguments(commands[name])
+        if is_command:
+            declaration.add_arguments(commands[name])
     return parser, commands
 
 
@@ -117,9 +126,13 @@ def _complete() -> None:
     try:
         import argcomplete
     except ImportError:
+        from bulletuav.errors import missing_extra
+
         raise missing_extra("completing words in a shell", "completion") from None
+    from bulletuav.catalogue import list_names, list_policies
+
     parser, commands = _parser(os.environ.get("COMP_LINE", "").split(" ")[1:-1])
-    offered = {"task": list_tasks, "policy": policy_names}
+    offered = {"task": lambda: list_names("task"), "policy": list_policies}
     for command in commands.values():
         for action in command._actions:
             if action.dest in offered:

@@ -143,7 +143,7 @@ def install(extra: str) -> str:
     The versions come from a constraints file. Without these constraints, pip downloads a PyTorch
     build of several gigabytes.
     """
-    in_checkout = (CHECKOUT / "setup.cfg").is_file()
+    in_checkout = (CHECKOUT / "pyproject.toml").is_file()
     folder = CHECKOUT if in_checkout else SHARED
     own = folder / PINS / f"{extra}.txt"
     pins = own if own.is_file() else folder / "constraints.txt"

@@ -201,14 +201,18 @@ def _load(kind: str) -> None:
 
 def _register_entry_points(kind: str) -> list[str]:
     """Register the entry points of a kind; return a warning for each that fails."""
-    group = f"bulletuav.{kind}"
     refused = []
-    for point in _entry_points(tuple(sys.path)).select(group=group):
+    for point in entry_points(kind):
         try:
             register(kind, point.name)(point.load())
         except Exception as error:  # errors of other packages must not break this package
-            refused.append(f"entry point {point.name!r} of {group} is ignored: {error}")
+            refused.append(f"entry point {point.name!r} of bulletuav.{kind} is ignored: {error}")
     return refused
+
+
+def entry_points(kind: str) -> list[importlib.metadata.EntryPoint]:
+    """Return the entry points by which other packages declare ingredients of a kind."""
+    return list(_entry_points(tuple(sys.path)).select(group=f"bulletuav.{kind}"))
 
 
 @functools.lru_cache(maxsize=1)

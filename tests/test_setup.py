@@ -1,10 +1,12 @@
-"""Installing: dependencies, their pins and licenses."""
+"""Installing: metadata, lock files, dependencies, their pins and licenses."""
 
 import configparser
 import re
+import tomllib
 from pathlib import Path
 
 import pytest
+import yaml
 from packaging.requirements import Requirement
 
 from bulletuav.version import __version__
@@ -27,8 +29,108 @@ def test_extras_are_pinned_to_the_versions_of_the_suite_where_they_can_be(extra)
     assert {name for name in own.keys() & suite.keys() if own[name] != suite[name]} == OTHER[extra]
 
 
-def test_the_citation_is_of_this_version():
+def test_the_citation_and_the_recipe_are_of_this_version():
     assert f"\nversion: {__version__}\n" in (ROOT / "CITATION.cff").read_text()
+    assert recipe()["context"]["version"] == __version__
+
+
+# Metadata in one place, and what repeats some of it for other tools
+
+
+def project():
+    return tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+
+
+def recipe():
+    return yaml.safe_load((ROOT / "conda" / "recipe.yaml").read_text())
+
+
+def parts(requirement):
+    """Name and version of a requirement, in the spelling of any tool."""
+    name, version = re.fullmatch(r"([\w.-]+)(?:\[\w+\])? *([^;]*)", requirement).groups()
+    return name.lower().replace("_", "-"), frozenset(version.replace(" ", "").split(","))
+
+
+def test_tools_that_read_the_project_table_find_everything():
+    found = project()
+    assert {"name", "description", "readme", "requires-python", "license"} <= found.keys()
+    assert found["dynamic"] == ["version"]
+    assert found["scripts"] == {"bulletuav": "bulletuav.cli:main"}
+    assert len(found["dependencies"]) > 9
+    assert {"test", "dev", "sb3"} <= found["optional-dependencies"].keys()
+
+
+def test_nothing_is_said_in_the_project_table_and_in_setup_cfg():
+    """Which holds the installed constraints alone."""
+    config = configparser.ConfigParser()
+    config.read(ROOT / "setup.cfg")
+    assert config.sections() == ["options.data_files"]
+
+
+def test_the_recipe_for_conda_has_the_requirements_of_the_package():
+    names = {"matplotlib-base": "matplotlib"}  # the package without a window toolkit
+    run = dict(map(parts, recipe()["requirements"]["run"]))
+    assert run.pop("python") == {""}
+    found = {names.get(name, name): version for name, version in run.items()}
+    assert found == dict(map(parts, project()["dependencies"]))
+    assert recipe()["about"]["summary"] == project()["description"]
+    skipped = project()["requires-python"].removeprefix(">=")
+    assert recipe()["build"]["skip"] == f'python < "{skipped}"'
+
+
+@pytest.fixture(scope="module")
+def locked():
+    """Packages of uv.lock by name."""
+    packages = {}
+    for package in tomllib.loads((ROOT / "uv.lock").read_text())["package"]:
+        packages.setdefault(package["name"], []).append(package)
+    return packages
+
+
+def test_the_lock_file_is_of_these_requirements(locked):
+    (own,) = locked["bulletuav"]
+    wanted = {
+        (extra, *parts(one))
+        for extra, requirements in {
+            "": project()["dependencies"],
+            **project()["optional-dependencies"],
+        }.items()
+        for one in requirements
+        if not one.startswith("bulletuav[")
+    }
+    found = {
+        (
+            "".join(re.findall(r"extra == '(\w+)'", one.get("marker", ""))),
+            one["name"],
+            frozenset(one.get("specifier", "").split(",")),
+        )
+        for one in own["metadata"]["requires-dist"]
+        if one["name"] != "bulletuav"
+    }
+    assert found == wanted, "python tools/lock.py writes it again"
+
+
+def test_the_lock_file_has_the_versions_of_the_suite(locked):
+    suite = pins(ROOT / "constraints.txt")
+    found = {
+        name: {package["version"] for package in packages if "version" in package}
+        for name, packages in locked.items()
+    }
+    differing = {
+        name
+        for name, version in suite.items()
+        if (there := found.get(name.replace("_", "-").replace(".", "-"))) and version not in there
+    }
+    assert not differing, "python tools/lock.py writes it again"
+    assert len(suite.keys() & {name.replace("-", "_") for name in found}) > 60
+
+
+def test_the_lock_file_names_the_usual_index_alone(locked):
+    others = [one for packages in locked.values() for one in packages if one["name"] != "bulletuav"]
+    assert {one["source"]["registry"] for one in others} == {"https://pypi.org/simple"}
+    files = re.findall(r'url = "(.*?)"', (ROOT / "uv.lock").read_text())
+    assert len(files) > 1000
+    assert all(one.startswith("https://files.pythonhosted.org/packages/") for one in files)
 
 
 @pytest.mark.parametrize(
@@ -44,24 +146,20 @@ def test_the_citation_is_of_this_version():
     ],
 )
 def test_pybullet_is_required_where_it_has_wheels(environment, expected):
-    setup = configparser.ConfigParser()
-    setup.read(ROOT / "setup.cfg")
-    lines = setup["options"]["install_requires"].split("\n")
+    lines = project()["dependencies"]
     (required,) = (Requirement(line) for line in lines if line.startswith("pybullet"))
     here = {"python_version": "3.11", "platform_system": "Linux", "platform_machine": "x86_64"}
     here["platform_python_implementation"] = "CPython"
     assert required.marker.evaluate({**here, **environment}) == expected
-    assert setup["options.extras_require"]["bullet"].strip() == "pybullet>=3.2.6"
+    assert project()["optional-dependencies"]["bullet"] == ["pybullet>=3.2.6"]
 
 
 def test_licenses_of_all_dependencies_are_told():
-    setup = configparser.ConfigParser()
-    setup.read(ROOT / "setup.cfg")
     wanted = {}
-    lists = {"always": setup["options"]["install_requires"], **setup["options.extras_require"]}
-    for extra, lines in lists.items():
-        for line in filter(None, map(str.strip, lines.splitlines())):
-            name = re.split(r"[\[<>=]", line)[0]
+    lists = {"always": project()["dependencies"], **project()["optional-dependencies"]}
+    for extra, requirements in lists.items():
+        for requirement in requirements:
+            name = re.split(r"[\[<>= ;]", requirement)[0]
             if name != "bulletuav":
                 wanted.setdefault(name, set()).add(extra)
     _, told_of = (ROOT / "THIRD_PARTY.md").read_text().split("## What it is installed with")

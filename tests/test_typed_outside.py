@@ -54,6 +54,7 @@ class Uwb(Sensor):
 
 
 bulletuav.check_task(3)  # arg-type
+bulletuav.paralel_env("hover")  # attr-defined
 height: str = Perch.Config().d_safe  # assignment
 '''
 ERROR = re.compile(r"^(.*):(\d+): error: .*\[([\w-]+)\]$", re.MULTILINE)

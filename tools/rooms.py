@@ -14,8 +14,9 @@ from pathlib import Path
 
 PACKAGE = Path(__file__).parents[1] / "bulletuav"
 ROOMS = (
-    ("version", "errors", "interrupts"),
+    ("version", "errors", "interrupts", "deferred_import"),
     ("compiled", "files", "parsing", "registry"),
+    ("catalogue",),
     ("geometry", "earth"),
     ("conflict", "vehicle"),
     ("engine", "control"),

@@ -1,7 +1,6 @@
 """Arguments shared by several commands: options of environments, policies and episodes."""
 
 import argparse
-import ast
 import contextlib
 import dataclasses
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -9,135 +8,13 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from bulletuav.analysis.pieces import WorkPiece, parse_piece
+from bulletuav.analysis.pieces import WorkPiece
+from bulletuav.commands.parsers.shared import parse_literal
 from bulletuav.commands.progress import show_progress
-from bulletuav.control.actions import ACTIONS
-from bulletuav.control.cascade import CONTROLLERS
-from bulletuav.dynamics import DYNAMICS
 from bulletuav.envs.options import EnvOptions
-from bulletuav.policies import policy_names
-from bulletuav.vehicle.airframes import available_airframes
 
 Advance = Callable[[int], None]
 """Callback with the number of newly finished episodes"""
-POLICY_HELP = (
-    f"{', '.join(policy_names())}, module:Name of your own class, the folder of a training "
-    f"run, or ppo:model.zip (see --trust); in team tasks one for each team, such as 'lead vs flee'"
-)
-
-
-def add_options(parser: argparse.ArgumentParser) -> None:
-    """Add arguments for common options of environments, and --set for all others."""
-    # Drones and control
-    parser.add_argument(
-        "--drones", type=int, dest="num_drones", metavar="N", help="number of drones"
-    )
-    parser.add_argument(
-        "--airframe", help=f"{', '.join(available_airframes())}, or the path of a URDF file"
-    )
-    parser.add_argument(
-        "--dynamics",
-        help=f"{', '.join(DYNAMICS)} (default: bullet, or rigid_body without PyBullet)",
-    )
-    parser.add_argument(
-        "--action",
-        help=f"action space: {', '.join(ACTIONS)} (default: that of the task, or one that the "
-        f"dynamics and the policy support)",
-    )
-    parser.add_argument(
-        "--controller", help=f"controller: {' or '.join(CONTROLLERS)} (default: lee)"
-    )
-    # Difficulty and time
-    parser.add_argument("--difficulty", help="easy, medium, hard or extreme")
-    parser.add_argument(
-        "--physics-hz", type=int, metavar="HZ", help="physics steps per second (default: 240)"
-    )
-    parser.add_argument(
-        "--decision-hz", type=_parse_literal, metavar="HZ", help="decisions per second"
-    )
-    parser.add_argument(
-        "--horizon", type=int, metavar="STEPS", help="maximum decisions of an episode (truncation)"
-    )
-    parser.add_argument("--max-speed", type=float, metavar="M/S", help="speed limit of the drones")
-    parser.add_argument(
-        "--city",
-        help="suburban, urban, dense, high_rise; alpha,beta,gamma; or a .geojson or .obj file",
-    )
-    # Wind, presets and other options
-    parser.add_argument("--turbulence", help="Dryden gusts: light, moderate or severe")
-    parser.add_argument("--preset", help="named set of options, see `bulletuav tasks TASK --all`")
-    parser.add_argument(
-        "--wind",
-        type=float,
-        nargs=3,
-        metavar=("EAST", "NORTH", "UP"),
-        help="steady wind in m/s",
-    )
-    parser.add_argument(
-        "--set",
-        action="append",
-        default=[],
-        metavar="NAME=VALUE",
-        help=(
-            "any other option of `bulletuav tasks TASK --all`, such as spacing=3 or "
-            "weights={'goal':10}; can be repeated"
-        ),
-    )
-
-
-def add_trust(parser: argparse.ArgumentParser) -> None:
-    """Add --trust, which permits files that can run code."""
-    parser.add_argument(
-        "--trust",
-        action="store_true",
-        help=(
-            "load models that stable-baselines3 saved (ppo:model.zip), and import modules that a "
-            "run.yaml names. Such files can run any code on this machine: use this option only "
-            "for files from a source that you trust"
-        ),
-    )
-
-
-def add_episodes(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments --episodes, --seed, --workers and --trust."""
-    parser.add_argument(
-        "--episodes",
-        type=int,
-        default=100,
-        help="number of episodes of each policy in each task (default: 100)",
-    )
-    parser.add_argument(
-        "--seed", type=int, default=0, help="episode e has the seed SEED + e (default: 0)"
-    )
-    parser.add_argument(
-        "--workers",
-        type=int,
-        default=1,
-        help="number of processes; it does not change the results (default: 1)",
-    )
-    add_trust(parser)
-
-
-def add_sharing(parser: argparse.ArgumentParser) -> None:
-    """Add --piece and --ray, which distribute episodes to several machines."""
-    parser.add_argument(
-        "--piece",
-        type=_parse_piece,
-        metavar="K/N",
-        help="run part K of N, such as one job of a job array; `bulletuav merge` joins the parts",
-    )
-    parser.add_argument(
-        "--ray",
-        metavar="ADDRESS",
-        help="run on a Ray cluster, such as auto or 10.0.0.1:6379 (extra ray); local starts one",
-    )
-
-
-def _parse_piece(text: str) -> WorkPiece:
-    try:
-        return parse_piece(text)
-    except ValueError as error:
-        raise argparse.ArgumentTypeError(str(error)) from None
 
 
 def print_piece(piece: WorkPiece, out: Path) -> None:
@@ -234,16 +111,7 @@ def make_out_folder(path: Path) -> Path:
 def _parse_value(text: str) -> Any:
     """Parse a literal, or comma-separated literals, which become a tuple."""
     # A literal such as (1, 2) or {"goal": 10} contains commas itself
-    parts = [_parse_literal(part) for part in text.split(",")]
+    parts = [parse_literal(part) for part in text.split(",")]
     if len(parts) == 1 or text[0] in "([{":
-        return _parse_literal(text)
+        return parse_literal(text)
     return tuple(parts)
-
-
-def _parse_literal(text: str) -> Any:
-    """Parse a number, a bool, None or another Python literal, or else return the text."""
-    try:
-        return ast.literal_eval({"true": "True", "false": "False"}.get(text, text))
-    except (ValueError, SyntaxError, TypeError):
-        # Python has no literals for these three
-        return float(text) if text.strip() in ("nan", "inf", "-inf") else text

@@ -7,10 +7,6 @@ from typing import Any, NamedTuple
 
 from bulletuav.analysis.evaluation import BATCH, Evaluation
 from bulletuav.commands.arguments import (
-    POLICY_HELP,
-    add_episodes,
-    add_options,
-    add_sharing,
     given_options,
     make_out_folder,
     print_piece,
@@ -18,24 +14,11 @@ from bulletuav.commands.arguments import (
 )
 from bulletuav.commands.evaluate import evaluate_case, run_name, shared_episodes
 from bulletuav.commands.output import print_files
+from bulletuav.commands.parsers.compare import parse_names
 from bulletuav.errors import unknown
 from bulletuav.policies import find_policy
 from bulletuav.report.leaderboard import format_leaderboard
 from bulletuav.report.results import write_cases, write_comparison
-
-ABOUT = {
-    "help": "evaluate several policies in several tasks and write a leaderboard",
-    "description": (
-        "Evaluate each policy in each task, difficulty and (--dynamics A,B) dynamics. Write a "
-        "leaderboard as markdown, csv and picture. The same command resumes an interrupted "
-        "comparison. --action does not apply to trained policies, which have their own."
-    ),
-    "epilog": """examples:
-  bulletuav compare --policies straight,potential,orca --tasks crossing,pursuit,converge \\
-      --workers 2 --out leaderboard
-  bulletuav compare --policies random,kmeans --tasks los,mec \\
-      --dynamics single_integrator,bullet --out service""",
-}
 
 
 class _Case(NamedTuple):
@@ -46,40 +29,11 @@ class _Case(NamedTuple):
     options: dict[str, Any]
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add tasks, policies, episodes, output folder and environment options."""
-    parser.add_argument(
-        "--tasks", required=True, type=_names, metavar="A,B", help="names of `bulletuav tasks`"
-    )
-    parser.add_argument("--policies", required=True, type=_names, metavar="A,B", help=POLICY_HELP)
-    parser.add_argument(
-        "--difficulties",
-        type=_names,
-        metavar="A,B",
-        help="easy, medium, hard, extreme (default: that of the task)",
-    )
-    parser.add_argument(
-        "--against",
-        metavar="POLICY",
-        help="reference policy: print the difference of the others from it",
-    )
-    add_episodes(parser)
-    add_sharing(parser)
-    parser.add_argument(
-        "--out",
-        type=Path,
-        default=Path("leaderboard"),
-        metavar="DIR",
-        help="folder for the files (default: leaderboard)",
-    )
-    add_options(parser)
-
-
 def run(arguments: argparse.Namespace) -> None:
     """Evaluate all cases, print the leaderboard and write the files."""
     options = given_options(arguments)
     # --dynamics may be a list here, so it is not an option that all cases share
-    dynamics = _names(str(options.pop("dynamics"))) if "dynamics" in options else None
+    dynamics = parse_names(str(options.pop("dynamics"))) if "dynamics" in options else None
     if arguments.difficulties and "difficulty" in options:
         raise ValueError("--difficulty and --difficulties: give one of them")
     if arguments.against not in (None, *arguments.policies):
@@ -98,14 +52,6 @@ def run(arguments: argparse.Namespace) -> None:
     files = write_comparison(results, arguments.against, out)
     print(format_leaderboard(results, arguments.against))
     print_files(files)
-
-
-def _names(text: str) -> list[str]:
-    """Split comma-separated names, without duplicates."""
-    names = list(dict.fromkeys(name.strip() for name in text.split(",") if name.strip()))
-    if not names:
-        raise argparse.ArgumentTypeError(f"{text!r} has no name")
-    return names
 
 
 def _cases(

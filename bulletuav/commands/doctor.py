@@ -7,19 +7,6 @@ from rich.table import Table
 from bulletuav.commands.output import print_table
 from bulletuav.report.doctor import examine
 
-ABOUT = {
-    "help": "print versions, and what is installed, active or missing",
-    "description": (
-        "Print the versions, whether the C extension is active, and how to install what is missing."
-    ),
-    "epilog": """example:
-  bulletuav doctor""",
-}
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add nothing: the command takes no arguments."""
-
 
 def run(arguments: argparse.Namespace) -> None:
     """Examine the installation and print the findings."""

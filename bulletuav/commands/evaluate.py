@@ -12,11 +12,7 @@ from rich.table import Table
 from bulletuav.analysis.evaluation import BATCH, Evaluation, evaluate
 from bulletuav.analysis.metrics import Estimate
 from bulletuav.commands.arguments import (
-    POLICY_HELP,
     Advance,
-    add_episodes,
-    add_options,
-    add_sharing,
     given_options,
     print_piece,
     show_episodes,
@@ -28,19 +24,6 @@ from bulletuav.policies.find import config_file, read_run_config
 from bulletuav.report.results import write_evaluation
 from bulletuav.tasks import find_task, list_tasks
 
-ABOUT = {
-    "help": "evaluate a policy over many episodes, with confidence intervals",
-    "description": (
-        "Fly many episodes in batches and processes. Print metrics with 95 % confidence "
-        "intervals. Write these, the metrics of each episode, and a picture. The same command "
-        "resumes an interrupted evaluation. The folder of a training run in place of the task "
-        "evaluates its policy with the options of its run.yaml, which given options override."
-    ),
-    "epilog": """examples:
-  bulletuav evaluate converge --policy orca --episodes 100 --workers 2 --out converge-orca
-  bulletuav evaluate crossing --difficulty hard --out crossing-hard
-  bulletuav evaluate hover --dynamics rigid_body --wind 3 0 0""",
-}
 COLUMNS: tuple[tuple[str, JustifyMethod], ...] = (
     ("metric", "left"),
     ("mean", "right"),
@@ -51,30 +34,6 @@ SCORES = ("success", "conflict", "collision", "completed", "return")
 """Metrics in the one-line score"""
 EPISODES = 100
 """Default number of episodes"""
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add task, policy, episodes, metrics, output folder and environment options."""
-    parser.add_argument(
-        "task", help="one of `bulletuav tasks`, or the folder of a run of `bulletuav train`"
-    )
-    parser.add_argument("--policy", help=f"{POLICY_HELP} (default: the baseline of the task)")
-    add_episodes(parser)
-    # Training runs have their own number of episodes
-    parser.set_defaults(episodes=None)
-    add_sharing(parser)
-    parser.add_argument(
-        "--metric",
-        action="append",
-        default=[],
-        metavar="NAME",
-        help="additional metric: a registered name, or module:Name, also from a file mine.py in "
-        "the current folder; can be repeated",
-    )
-    parser.add_argument(
-        "--out", type=Path, metavar="DIR", help="folder for the files (default: one in evaluation/)"
-    )
-    add_options(parser)
 
 
 def run(arguments: argparse.Namespace) -> None:

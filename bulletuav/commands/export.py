@@ -12,26 +12,10 @@ from bulletuav.adapters.c_source import PRECISIONS, find_compiler, run_c, write_
 from bulletuav.adapters.deployed import Deployed, deployed
 from bulletuav.analysis.recorded import Recording
 from bulletuav.analysis.recording import REMEDY
-from bulletuav.commands.arguments import add_trust
 from bulletuav.commands.output import print_files
 from bulletuav.errors import find_choice, reason_of
 from bulletuav.report.figures import drone_colours
 from bulletuav.report.replay import read_run
-
-ABOUT = {
-    "help": "export a flight for ROS 2 or Rerun, or a trained policy as C or ONNX",
-    "description": (
-        "Export a recording of `bulletuav fly` as one file for other programs: MCAP with "
-        "messages of ROS 2 (extra mcap), or .rrd of the viewer Rerun (extra rerun). Or export a "
-        "policy of `bulletuav train`, from raw observations to setpoints: as C99, or as ONNX "
-        "(extra onnx). The exported policy is compared with the original."
-    ),
-    "epilog": """examples:
-  bulletuav fly crossing --out flight && bulletuav export flight --to mcap
-  bulletuav export flight --to rerun --out crossing.rrd
-  bulletuav train crossing --out crossing-run && bulletuav export crossing-run --to c
-  bulletuav export crossing-run --to onnx --precision double""",
-}
 
 
 def _write_mcap(recording: Recording, path: Path) -> None:
@@ -90,31 +74,6 @@ A writer returns the files and the maximum difference of setpoints.
 """
 AGREEMENT = 1e-6
 """Maximum difference of setpoints in double precision, in their units"""
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the flight or the policy, the format, and the output file."""
-    parser.add_argument(
-        "run",
-        type=Path,
-        metavar="RUN",
-        help="folder of `bulletuav fly`; for policies the folder of `bulletuav train`, or of one "
-        "of its checkpoints",
-    )
-    parser.add_argument(
-        "--to",
-        required=True,
-        metavar="FORMAT",
-        help=f"flights: {' or '.join(FORMATS)}; policies: {' or '.join(POLICIES)}",
-    )
-    parser.add_argument(
-        "--precision", help=f"precision of a policy: {' or '.join(PRECISIONS)} (default: float)"
-    )
-    add_trust(parser)
-    names = ", ".join(name for name, _ in [*FORMATS.values(), *POLICIES.values()])
-    parser.add_argument(
-        "--out", type=Path, metavar="FILE", help=f"output file (default: {names} in the folder)"
-    )
 
 
 def run(arguments: argparse.Namespace) -> None:

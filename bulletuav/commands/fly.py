@@ -14,16 +14,13 @@ from bulletuav.analysis.evaluation import EPISODES
 from bulletuav.analysis.recorded import Recording, outcomes, summarize_infos
 from bulletuav.analysis.recording import fly_episode, save
 from bulletuav.commands.arguments import (
-    POLICY_HELP,
-    add_options,
-    add_trust,
     given_options,
     make_out_folder,
 )
 from bulletuav.commands.output import print_files, print_table
 from bulletuav.commands.progress import show_progress
 from bulletuav.envs.aviary import Aviary
-from bulletuav.envs.viewer import DEFAULT_ADDRESS, parse_address
+from bulletuav.envs.viewer import parse_address
 from bulletuav.errors import as_int
 from bulletuav.policies import find_policy
 from bulletuav.report.live import LiveView
@@ -32,63 +29,11 @@ from bulletuav.report.replay import REPLAY, replay_run
 from bulletuav.tasks import find_task
 from bulletuav.tasks.base import Task
 
-ABOUT = {
-    "help": "fly one episode and write trajectories and pictures",
-    "description": (
-        "Fly one episode without a window. Print the outcome of each drone. Write trajectories, "
-        "a plot and an animation."
-    ),
-    "epilog": """examples:
-  bulletuav fly crossing --drones 8 --policy straight --seed 0 --out out
-  bulletuav fly crossing --html --animation none --out out
-  bulletuav fly crossing --live --out out
-  bulletuav fly hover --airframe hummingbird --difficulty hard --out out
-  bulletuav fly lidar_navigation --city urban --out out
-  bulletuav fly crossing --dynamics rigid_body --wind 3 0 0 --set lane_spacing=20 --out out""",
-}
 CAPTION = (
     "values at the last decision of each drone; nearest: minimum distance to another drone; "
     "conflicts, collisions: totals of the episode"
 )
 """Explanation of the numbers below the table"""
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add task, policy, seed, output files and environment options."""
-    parser.add_argument("task", help="one of `bulletuav tasks`")
-    parser.add_argument("--policy", help=f"{POLICY_HELP} (default: the baseline of the task)")
-    parser.add_argument(
-        "--seed",
-        type=int,
-        default=0,
-        help="random seed; equal seeds give equal flights (default: 0)",
-    )
-    parser.add_argument(
-        "--out",
-        type=Path,
-        default=Path("out"),
-        metavar="DIR",
-        help="folder for the files (default: out)",
-    )
-    parser.add_argument(
-        "--animation",
-        choices=("gif", "mp4", "none"),
-        default="gif",
-        help="format of the animation; mp4 needs the extra 'video' (default: gif)",
-    )
-    parser.add_argument(
-        "--html", action="store_true", help=f"also write {REPLAY}, a 3-D replay for browsers"
-    )
-    for name, where in (("live", "in browsers"), ("foxglove", "in Foxglove")):
-        parser.add_argument(
-            f"--{name}",
-            nargs="?",
-            const=DEFAULT_ADDRESS,
-            metavar="HOST:PORT",
-            help=f"show the flight {where} while it runs (default: {DEFAULT_ADDRESS})",
-        )
-    add_trust(parser)
-    add_options(parser)
 
 
 def run(arguments: argparse.Namespace) -> None:

@@ -1,20 +1,18 @@
 """`bulletuav identify`: identify constants of an airframe from flight logs."""
 
 import argparse
-from pathlib import Path
 
 from rich.console import JustifyMethod
 from rich.table import Table
 
 from bulletuav.commands.arguments import make_out_folder
 from bulletuav.commands.output import print_files, print_table
+from bulletuav.commands.parsers.identify import EXAMPLE_SECONDS
 from bulletuav.commands.progress import show_progress
-from bulletuav.identification.constants import BATTERY, CONSTANTS, GROUPS
 from bulletuav.identification.curves import make_curves
 from bulletuav.identification.example import add_sensor_noise, fly_example, write_example_log
 from bulletuav.identification.identify import WINDOW, Identification, identify
 from bulletuav.identification.intervals import LEVEL
-from bulletuav.identification.logs import FACTORS
 from bulletuav.identification.write import (
     KINDS,
     MEASURES,
@@ -24,85 +22,14 @@ from bulletuav.identification.write import (
     write_urdf,
 )
 from bulletuav.report.identification import plot_identification
-from bulletuav.vehicle.airframes import available_airframes, load_airframe
+from bulletuav.vehicle.airframes import load_airframe
 
-ABOUT = {
-    "help": "fit an airframe's constants to flight logs and write its URDF",
-    "description": (
-        "Fit constants of an airframe to flight logs. Print them with 95 % intervals, and the "
-        "errors of predictions of held-out data. Write a URDF, a report and a picture."
-    ),
-    "epilog": """examples:
-  bulletuav identify --example flight.csv --airframe cf2x
-  bulletuav identify flight.csv --airframe cf2x --out fitted
-  bulletuav identify flight.csv --airframe cf2x --fit thrust,drag,lag --mass 0.0312""",
-}
-EXAMPLE_SECONDS = 20.0
-"""Duration of the example flight, s"""
 COLUMNS: tuple[tuple[str, JustifyMethod], ...] = (
     ("constant", "left"),
     ("before", "right"),
     ("after", "right"),
     (f"{100 * LEVEL:.0f} % interval", "right"),
 )
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add logs, airframe, constants to fit, and output folder."""
-    # Data: logs and airframe
-    parser.add_argument(
-        "logs", nargs="*", type=Path, metavar="LOG", help="CSV files with named columns"
-    )
-    parser.add_argument(
-        "--example",
-        type=Path,
-        metavar="FILE",
-        help=f"only write the log of a simulated flight of {EXAMPLE_SECONDS:g} s, as an example of "
-        "the format of logs",
-    )
-    parser.add_argument(
-        "--airframe",
-        required=True,
-        help=f"airframe of the logs: {', '.join(available_airframes())}, or the path of a URDF",
-    )
-    parser.add_argument(
-        "--fit",
-        default="",
-        metavar="A,B",
-        help=(
-            f"groups ({', '.join((*GROUPS, BATTERY))}) or constants "
-            f"({', '.join(constant.name for constant in CONSTANTS)}) (default: all identifiable)"
-        ),
-    )
-    parser.add_argument(
-        "--map",
-        nargs="+",
-        action="extend",
-        default=[],
-        metavar="NAME=COLUMN[*FACTOR][+OFFSET]",
-        help=(
-            f"column of a quantity, if its name or unit differs; a factor is a number or one of "
-            f"{', '.join(FACTORS)}, with a minus sign for a reversed axis, such as t=time*ms "
-            f"q=gyro_y*-deg z=altitude*mm-0.03"
-        ),
-    )
-    parser.add_argument(
-        "--mass", type=float, metavar="KG", help="take-off mass (default: that of the airframe)"
-    )
-    parser.add_argument(
-        "--window",
-        type=float,
-        default=WINDOW,
-        metavar="S",
-        help=f"duration of the predicted windows (default: {WINDOW:g})",
-    )
-    parser.add_argument(
-        "--out",
-        type=Path,
-        default=Path("identified"),
-        metavar="DIR",
-        help="folder for the files (default: identified)",
-    )
 
 
 def run(arguments: argparse.Namespace) -> None:
@@ -122,7 +49,7 @@ def run(arguments: argparse.Namespace) -> None:
             fit=names,
             columns=arguments.map,
             mass=arguments.mass,
-            window=arguments.window,
+            window=WINDOW if arguments.window is None else arguments.window,
             progress=lambda share: report(100 * share),
         )
     # Plot the prediction of the longest held-out flight

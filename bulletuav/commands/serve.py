@@ -13,70 +13,6 @@ from bulletuav.commands.progress import show_progress
 from bulletuav.envs.viewer import join_address
 from bulletuav.errors import find_choice
 
-ABOUT = {
-    "help": "serve simulated drones to cflib, AirSim, MAVLink or PX4 programs",
-    "description": (
-        "Serve simulated drones to programs written for real drones or other simulators. They "
-        "fly in real time until the server is interrupted. By default the server accepts only "
-        "clients on this machine."
-    ),
-    "epilog": """examples:
-  bulletuav serve crazyflie --drones 10
-  bulletuav serve crazyflie --drones 4 --wind 2 0 0 --port 19860
-  bulletuav serve airsim --drones 2 --lidar
-  bulletuav serve mavlink --drones 3
-  bulletuav serve hil --wind 3 0 0""",
-}
-LOOPBACK = "127.0.0.1"
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the type of server, its address, drones and world."""
-    # Drones
-    parser.add_argument("kind", help=f"protocol: {', '.join(KINDS)}")
-    parser.add_argument(
-        "--drones", type=int, default=1, metavar="N", help="number of drones (default: 1)"
-    )
-    parser.add_argument("--airframe", help="name or URDF file (default: iris; for crazyflie cf2x)")
-    # Address; by default only this machine has access
-    parser.add_argument(
-        "--host",
-        default=LOOPBACK,
-        help=f"address to listen on (default: {LOOPBACK}); any client can fly the drones",
-    )
-    parser.add_argument("--port", type=int, help="first port (default: that of the protocol)")
-    parser.add_argument(
-        "--client-port",
-        type=int,
-        default=mavlink.CLIENT_PORT,
-        help=f"mavlink: port of the client of the first vehicle (default: {mavlink.CLIENT_PORT})",
-    )
-    parser.add_argument(
-        "--speed", type=float, default=1.0, help="speed relative to real time (default: 1)"
-    )
-    # World and clock
-    parser.add_argument(
-        "--dynamics",
-        help="bullet or rigid_body, the models with motors (default: bullet, or rigid_body without "
-        "PyBullet)",
-    )
-    parser.add_argument(
-        "--wind",
-        type=float,
-        nargs=3,
-        default=(0.0, 0.0, 0.0),
-        metavar=("EAST", "NORTH", "UP"),
-        help="steady wind in m/s",
-    )
-    parser.add_argument("--seed", type=int, help="seed of gusts and noise (default: random)")
-    parser.add_argument("--lidar", action="store_true", help="airsim: equip drones with a lidar")
-    parser.add_argument(
-        "--paused", action="store_true", help="airsim: start paused, until a client continues"
-    )
-    parser.add_argument(
-        "--seconds", type=float, help="duration of the server in s (default: until interrupted)"
-    )
-
 
 def run(arguments: argparse.Namespace) -> None:
     """Start the server of the given protocol."""
@@ -156,7 +92,8 @@ def _serve_airsim(arguments: argparse.Namespace) -> None:
 def _serve_mavlink(arguments: argparse.Namespace) -> None:
     """Serve MAVLink vehicles."""
     fleet = MavlinkFleet(arguments.drones, arguments.airframe or "iris", **_options(arguments))
-    clients = arguments.client_port
+    given = arguments.client_port
+    clients = mavlink.CLIENT_PORT if given is None else given
     _serve(
         fleet,
         lambda: mavlink.MavlinkServer(fleet, *_address(arguments, mavlink.PORT), clients),

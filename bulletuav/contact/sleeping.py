@@ -44,6 +44,19 @@ def _compute_speed(swarm: Swarm, w: int, i: int) -> float:
 
 
 @func
+def _is_any_asleep(contact: ContactState, w: int) -> bool:
+    """Check whether any drone of a world sleeps.
+
+    NumPy's `any` would make stored code import Numba's `arraymath`, and with it SciPy, when it is
+    loaded.
+    """
+    found = False
+    for i in range(contact.asleep.shape[1]):
+        found |= contact.asleep[w, i]
+    return found
+
+
+@func
 def update_sleep(contact: ContactState, world: ContactWorld, swarm: Swarm, last: bool) -> None:
     """Put drones that have been at rest long enough to sleep, and wake disturbed ones.
 
@@ -55,7 +68,7 @@ def update_sleep(contact: ContactState, world: ContactWorld, swarm: Swarm, last:
             their contacts are those of a whole decision.
     """
     w = world.w
-    if contact.asleep[w].any():
+    if _is_any_asleep(contact, w):
         _wake_disturbed(contact, world, swarm)
     for i in range(world.alive.shape[1]):
         velocity, rates = vec3(swarm.velocity, w, i), vec3(swarm.rates, w, i)

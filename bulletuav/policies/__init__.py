@@ -1,8 +1,8 @@
 """Baseline and trained policies, and functions that find a policy by name."""
 
+from bulletuav.catalogue import SHIPPED_NAMES
 from bulletuav.policies.base import Policy, check_action
 from bulletuav.policies.find import (
-    SHIPPED_NAMES,
     PolicySource,
     PolicySpec,
     find_policy,

@@ -7,6 +7,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple, cast
 
+from bulletuav.catalogue import SHIPPED_NAMES
 from bulletuav.envs.aviary import Aviary
 from bulletuav.envs.options import EnvOptions
 from bulletuav.envs.resolve_options import action_for, resolve_options
@@ -32,8 +33,6 @@ PolicySource = str | Path | type[Policy] | Versus | RowsFunction
 """Name, `module:Name`, file, folder or class of a policy; one policy per team; or a function"""
 NEEDED = ("name", "actions", "reads_swarm")
 """Attributes that every policy class defines"""
-SHIPPED_NAMES = ("trained", "untrained")
-"""Names of the policies in the package; they select a different policy for each task"""
 OLD_MODEL = "model.zip"
 """Model file of a run from older versions, saved by stable-baselines3"""
 SB3_MODEL = "bulletuav.adapters.sb3_model"

@@ -40,6 +40,7 @@ from bulletuav.bridges.mavlink_protocol import Command, MavlinkCodec
 from bulletuav.bridges.sockets import LATE_READ_FRACTION
 from bulletuav.cli import main
 from bulletuav.commands import serve as command
+from bulletuav.commands.parsers.serve import add_arguments
 from bulletuav.dynamics import DYNAMICS
 from bulletuav.report.feed import Feed
 from bulletuav.serving.connections import ACCEPT_RETRY, EVICTED_FOR_RESOURCES
@@ -107,7 +108,7 @@ def test_servers_of_udp_are_not_reached_by_other_addresses(make_fleet, make_vehi
 
 def test_the_commands_serve_this_machine_alone_unless_they_are_told():
     parser = argparse.ArgumentParser()
-    command.add_arguments(parser)
+    add_arguments(parser)
     assert {parser.parse_args([kind]).host for kind in command.KINDS} == {"127.0.0.1"}
     assert bulletuav.envs.viewer.DEFAULT_ADDRESS.startswith("127.0.0.1:")
     with pytest.raises(SystemExit):

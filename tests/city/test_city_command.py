@@ -7,11 +7,12 @@ from matplotlib.image import imread
 
 from bulletuav.city.imports import from_obj
 from bulletuav.commands import city
+from bulletuav.commands.parsers.city import add_arguments
 
 
 def run(*words):
     parser = argparse.ArgumentParser()
-    city.add_arguments(parser)
+    add_arguments(parser)
     city.run(parser.parse_args(list(words)))
 
 

@@ -74,7 +74,8 @@ def run(tmp_path, monkeypatch, capsys):
 
 @pytest.mark.parametrize("name", COMMANDS)
 def test_examples_run_in_an_empty_folder(name, run):
-    commands = examples(importlib.import_module(f"bulletuav.commands.{name}").ABOUT["epilog"])
+    module = importlib.import_module(f"bulletuav.commands.parsers.{name}")
+    commands = examples(module.ABOUT["epilog"])
     assert any(words[0] == name for words in commands)
     for words in commands:
         if "--all" in words and name == "train":
@@ -84,7 +85,7 @@ def test_examples_run_in_an_empty_folder(name, run):
 
 @pytest.mark.slow
 def test_the_example_that_trains_all_tasks_runs(run):
-    epilog = importlib.import_module("bulletuav.commands.train").ABOUT["epilog"]
+    epilog = importlib.import_module("bulletuav.commands.parsers.train").ABOUT["epilog"]
     (words,) = [words for words in examples(epilog) if "--all" in words]
     run(words)
 

@@ -47,7 +47,7 @@ except KeyboardInterrupt:
 @pytest.mark.parametrize(
     "module",
     [
-        "bulletuav.adapters",
+        "bulletuav.envs.registration",
         "numpy",
         "numba",
         "gymnasium",

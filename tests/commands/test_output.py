@@ -37,10 +37,12 @@ RUNS = {
     "verify": [["fly", "hover", *POINTS, "--animation", "none"], ["verify", "out"]],
 }
 """Calls by which each command prints its tables"""
+MODULES = {name: f"bulletuav.commands.{name}" for name in COMMANDS}
+MODULES["tasks"] = "bulletuav.commands.task_description"
 WITH_TABLES = [
     name
-    for name in COMMANDS
-    if hasattr(importlib.import_module(f"bulletuav.commands.{name}"), "print_table")
+    for name, module in MODULES.items()
+    if hasattr(importlib.import_module(module), "print_table")
 ]
 
 
@@ -69,7 +71,7 @@ def test_no_command_loses_columns_or_digits(name, monkeypatch, capsys, tmp_path)
         rows = flown.fly_example(load_airframe("cf2x"), 12, seed=0)
         flown.write_example_log("log.csv", flown.add_sensor_noise(rows, 0))
     tables = []
-    monkeypatch.setattr(f"bulletuav.commands.{name}.print_table", tables.append)
+    monkeypatch.setattr(f"{MODULES[name]}.print_table", tables.append)
     for arguments in RUNS[name]:
         main(arguments)
     assert tables

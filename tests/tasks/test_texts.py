@@ -7,7 +7,7 @@ import pytest
 
 import bulletuav
 from bulletuav.cli import main
-from bulletuav.commands.tasks import (
+from bulletuav.commands.task_description import (
     difficulties_table,
     ends_table,
     option_texts,
