@@ -5,6 +5,7 @@ Python gives one of them a module that is not complete.
 """
 
 import importlib
+import os
 import threading
 from typing import Any
 
@@ -15,3 +16,13 @@ def import_name(module: str, name: str) -> Any:
     """Import a module, and return a name of it; other threads wait."""
     with _lock:
         return getattr(importlib.import_module(module), name)
+
+
+def _renew_lock() -> None:
+    """Replace the lock in a forked process, which has no thread that would release it."""
+    global _lock
+    _lock = threading.RLock()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_renew_lock)

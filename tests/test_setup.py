@@ -47,7 +47,7 @@ def recipe():
 
 def parts(requirement):
     """Name and version of a requirement, in the spelling of any tool."""
-    name, version = re.fullmatch(r"([\w.-]+)(?:\[\w+\])? *([^;]*)", requirement).groups()
+    name, version = re.match(r"([\w.-]+)(?:\[\w+\])? *([^;]*)", requirement).groups()
     return name.lower().replace("_", "-"), frozenset(version.replace(" ", "").split(","))
 
 

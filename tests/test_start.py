@@ -3,14 +3,17 @@
 import ast
 import json
 import os
+import signal
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
 import pytest
+from waiting import PATIENCE
 
 import bulletuav
-from bulletuav import catalogue, registry
+from bulletuav import catalogue, deferred_import, registry
 from bulletuav.cli import COMMANDS
 from bulletuav.envs import registration
 from bulletuav.policies import policy_names
@@ -259,3 +262,24 @@ def test_what_cannot_be_imported_registers_nothing():
     finder = registration._Finder()
     assert finder.find_spec("numpy", None) is None
     assert finder.find_spec("gymnasium", ["/nowhere"]) is None
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="forks")
+def test_a_process_forked_during_an_import_imports():
+    holds, may_end = threading.Event(), threading.Event()
+
+    def import_for_long():
+        with deferred_import._lock:
+            holds.set()
+            may_end.wait(PATIENCE)
+
+    thread = threading.Thread(target=import_for_long)
+    thread.start()
+    assert holds.wait(PATIENCE)
+    child = os.fork()
+    if not child:
+        signal.alarm(60)  # ends a child that hangs
+        os._exit(deferred_import.import_name("math", "pi") < 3)
+    may_end.set()
+    thread.join()
+    assert os.waitpid(child, 0)[1] == 0
