@@ -17,7 +17,7 @@ import pytest
 from forking import forking
 
 import bulletuav
-from bulletuav.compiled import compiling, dispatcher, kernel, plain, stamps
+from bulletuav.compiled import compiling, dispatcher, folders, kernel, plain, shipped, stamps
 
 TANH = ctypes.CFUNCTYPE(ctypes.c_double, ctypes.c_double)(("tanh", ctypes.CDLL(None)))
 """A function of the C library, at an address of this process"""
@@ -50,11 +50,12 @@ def package(tmp_path, run_in):
     """A package of our modules that compile, a helper in one file, its caller in another."""
     folder = tmp_path / "small"
     (folder / "compiled").mkdir(parents=True)
-    for module in (kernel, dispatcher, compiling, plain, stamps):
+    for module in (kernel, dispatcher, compiling, plain, stamps, folders, shipped):
         file = Path(module.__file__)
         code = file.read_text().replace("from bulletuav.", "from small.")
         (folder / "compiled" / file.name).write_text(code)
     (folder / "__init__.py").write_text("")
+    (folder / "version.py").write_text('__version__ = "1"\n')
     (folder / "compiled" / "__init__.py").write_text("")
     (folder / "unrelated.py").write_text("x = 1\n")
     (folder / "helper.py").write_text(
@@ -302,9 +303,9 @@ def test_old_folders_are_forgotten_and_a_place_to_write_is_found(tmp_path, monke
     blocked = tmp_path / "file"
     blocked.write_text("")
     monkeypatch.setattr(numba.config, "CACHE_DIR", str(blocked))
-    monkeypatch.setattr(kernel.tempfile, "gettempdir", lambda: str(tmp_path / "temporary"))
+    monkeypatch.setattr(folders.tempfile, "gettempdir", lambda: str(tmp_path / "temporary"))
     assert Path(tmp_path, "temporary") in kernel.cache_folder().parents
-    monkeypatch.setattr(kernel.tempfile, "gettempdir", lambda: str(blocked))
+    monkeypatch.setattr(folders.tempfile, "gettempdir", lambda: str(blocked))
     with pytest.raises(OSError, match="set NUMBA_CACHE_DIR"):
         kernel.cache_folder()
 
