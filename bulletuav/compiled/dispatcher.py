@@ -205,9 +205,11 @@ class Cache:
         linked = (need for other in library._linking_libraries for need in _asked(other))
         library.needs = tuple(dict.fromkeys((*getattr(library, "deferred_entries", ()), *linked)))
         if self._is_apart() or not self._suffix:
-            # Callers, if any, copy this stub, of which numba reads only the name
-            name = compiled.fndesc.mangled_name
-            library._shared_module = llvm.parse_assembly(f'define void @"{name}"() {{ ret void }}')
+            # Callers, if any, copy these stubs, of which numba reads only the names
+            names = [compiled.fndesc.mangled_name]
+            names += [] if self._suffix else [compiled.fndesc.llvm_cpython_wrapper_name]
+            stubs = (f'define void @"{name}"() {{ ret void }}' for name in names)
+            library._shared_module = llvm.parse_assembly("\n".join(stubs))
         # Addresses of this process are invalid in another process
         if not library.has_dynamic_globals:
             file = self._file(signature, compiled.target_context)
