@@ -23,9 +23,7 @@ def cache_folder() -> Path:
     Raises:
         OSError: If no folder is writable.
     """
-    chosen = (
-        config.CACHE_DIR or os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
-    )
+    chosen = config.CACHE_DIR or os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
     user = os.getuid() if hasattr(os, "getuid") else ""
     spare = Path(tempfile.gettempdir(), f"bulletuav-{user}")
     candidates = [Path(chosen), spare]

@@ -70,8 +70,7 @@ def find_level(folder: Path) -> ProcessorLevel | None:
         (
             level
             for level in LEVELS
-            if all(features.get(name) for name in level.features)
-            and (folder / level.name).is_dir()
+            if all(features.get(name) for name in level.features) and (folder / level.name).is_dir()
         ),
         None,
     )

@@ -6,7 +6,10 @@ import platform
 import re
 from typing import NamedTuple
 
-from bulletuav.compiled.kernel import cache_folder
+from numba import config
+
+from bulletuav.compiled.folders import cache_folder
+from bulletuav.compiled.shipped import CODE, native_mark
 from bulletuav.engine.engine import ENGINE_VERSION, EXTENSION, Engine
 from bulletuav.engine.screen import require_screen
 from bulletuav.errors import install
@@ -47,10 +50,22 @@ def examine() -> list[Finding]:
         *packages,
         Finding("engine", f"Bullet API {ENGINE_VERSION}"),
         _extension(),
+        Finding("machine code", describe_code()),
         Finding("compiled kernels", str(cache_folder())),
         _screen(),
         *_extras(),
     ]
+
+
+def describe_code() -> str:
+    """Describe which machine code flies, and for which processor numba compiles other code."""
+    if CODE is not None:
+        return f"that of the package, for {CODE.name}; numba compiles all other code for it, too"
+    if config.CPU_NAME is not None:
+        return f"compiled when needed, for NUMBA_CPU_NAME={config.CPU_NAME}"
+    if native_mark().is_file():
+        return "compiled for this processor, by bulletuav compile --native"
+    return "compiled for this processor when needed, or at once by bulletuav compile"
 
 
 def _extension() -> Finding:
