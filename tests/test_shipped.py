@@ -15,8 +15,7 @@ from numba.core.types import float64
 
 from bulletuav.compiled.shipped import CODE
 
-TOOLS = Path(__file__).parents[1] / "tools"
-sys.path.append(str(TOOLS))
+sys.path.append(str(Path(__file__).parents[1] / "tools"))
 import build_code
 
 CHECK = """

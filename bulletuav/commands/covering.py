@@ -57,6 +57,11 @@ GOALS = ("leave", "land", "hold")
 CITIES = ("suburban", "high_rise", "open")
 IMAGES = (("rgb", "depth", "segmentation"), ("velocity", "ray_depth"))
 EFFECTS = ("drag", "downwash")
+CONTACTS = ("stop", "impulse", "bullet")
+POLICY_TASKS = ("converge", "hover", "default", "lidar_navigation", "coverage", "los", "mec")
+"""Tasks in which each policy flies that supports them; each task is flown by its baseline"""
+WHOLE = ("race", "pursuit")
+"""Tasks whose episodes cannot be short, as a lap has to fit"""
 
 
 class CoveringFlight(NamedTuple):
@@ -84,9 +89,11 @@ def list_flights() -> list[CoveringFlight]:
         CoveringFlight(task, functools.partial(fly_shortly, task, **options))
         for task, options in list_environments()
     ]
+    pairs = [*itertools.product(policy_names(), POLICY_TASKS)]
+    pairs += [(find_task(task).baseline, task) for task in list_tasks()]
     flown += [
         CoveringFlight(f"{task}, {policy}", functools.partial(_evaluate, task, policy))
-        for policy, task in itertools.product(policy_names(), list_tasks())
+        for policy, task in pairs
     ]
     flown += [
         CoveringFlight(f"airspace, {dynamics}", functools.partial(_fly_airspace, dynamics, sensors))
@@ -146,7 +153,9 @@ def list_environments() -> Iterator[tuple[str, dict[str, Any]]]:
         )
     for dynamics in DYNAMICS:
         yield "crossing", {"dynamics": dynamics, "wind": (3, 1, 0), "turbulence": "severe"}
-        yield "crossing", {"dynamics": dynamics, "rays": "bullet", "contacts": "bullet"}
+        yield "crossing", {"dynamics": dynamics, "rays": "bullet"}
+        for contacts in CONTACTS:
+            yield "crossing", {"dynamics": dynamics, "contacts": contacts}
         yield "crossing", {"dynamics": dynamics, "energy": "actuator", "battery_capacity": 0.05}
 
 
@@ -180,8 +189,9 @@ def fly_shortly(task: str, num_worlds: int = WORLDS, **options: Any) -> None:
 
 
 def _evaluate(task: str, policy: str) -> None:
-    """Fly a policy in two episodes."""
-    evaluate(task, policy, 2, horizon=DECISIONS)
+    """Fly a policy in two episodes, short ones if the task permits."""
+    options = {} if task in WHOLE else {"horizon": DECISIONS}
+    evaluate(task, policy, 2, **options)
 
 
 def _fly_airspace(dynamics: str, sensors: tuple[str, ...]) -> None:

@@ -12,7 +12,7 @@ from bulletuav.compiled.kernel import kernel
 from bulletuav.dynamics import DYNAMICS
 from bulletuav.policies import policy_names
 from bulletuav.registry import names
-from bulletuav.tasks import list_tasks
+from bulletuav.tasks import find_task, list_tasks
 
 
 @pytest.fixture
@@ -48,7 +48,8 @@ def test_all_ingredients_are_flown():
         assert {options.get(kind) for _, options in environments} >= set(names(kind))
     blocks = {options["observation"] for _, options in environments if "observation" in options}
     assert blocks >= {(block,) for block in names("observation")}
-    assert {f"{task}, {one}" for task in list_tasks() for one in policy_names()} <= set(flights)
+    assert {f"converge, {one}" for one in policy_names()} <= set(flights)
+    assert {f"{one}, {find_task(one).baseline}" for one in list_tasks()} <= set(flights)
 
 
 def test_options_of_a_flight_are_valid_in_some_task():
