@@ -9,7 +9,7 @@ import functools
 import itertools
 import tempfile
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -97,7 +97,7 @@ def list_flights() -> list[CoveringFlight]:
     ]
     flown += [
         CoveringFlight(f"airspace, {dynamics}", functools.partial(_fly_airspace, dynamics, sensors))
-        for dynamics, sensors in itertools.product(DYNAMICS, ((), names("sensor")))
+        for dynamics, sensors in itertools.product(DYNAMICS, ([], names("sensor")))
     ]
     return [*flown, CoveringFlight("identification", _identify)]
 
@@ -190,11 +190,11 @@ def fly_shortly(task: str, num_worlds: int = WORLDS, **options: Any) -> None:
 
 def _evaluate(task: str, policy: str) -> None:
     """Fly a policy in two episodes, short ones if the task permits."""
-    options = {} if task in WHOLE else {"horizon": DECISIONS}
+    options: dict[str, Any] = {} if task in WHOLE else {"horizon": DECISIONS}
     evaluate(task, policy, 2, **options)
 
 
-def _fly_airspace(dynamics: str, sensors: tuple[str, ...]) -> None:
+def _fly_airspace(dynamics: str, sensors: Sequence[str]) -> None:
     """Fly two drones without a task."""
     airspace = Airspace([(0.0, 0.0, 1.0), (1.0, 0.0, 1.0)], dynamics=dynamics, sensors=sensors)
     try:

@@ -13,7 +13,8 @@ from pathlib import Path
 from types import FunctionType
 from typing import Any
 
-from bulletuav.compiled.kernel import cache_folder, uncached
+from bulletuav.compiled.folders import cache_folder
+from bulletuav.compiled.kernel import uncached
 from bulletuav.files import replace_file
 
 TUPLES = (2, 3, 4)

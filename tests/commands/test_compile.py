@@ -2,11 +2,14 @@
 
 import os
 import sys
+import types
 
 import pytest
 
 from bulletuav.cli import main
 from bulletuav.commands import compile, covering
+from bulletuav.commands.progress import show_progress
+from bulletuav.compiled import dispatcher
 from bulletuav.compiled.dispatcher import COMPILATION
 from bulletuav.compiled.kernel import kernel
 from bulletuav.dynamics import DYNAMICS
@@ -72,6 +75,26 @@ def test_compiling_reports_what_was_compiled(mark, monkeypatch, capsys, tmp_path
     monkeypatch.setattr(COMPILATION, "num_functions", 0)
     main(["compile"])
     assert capsys.readouterr().out.startswith("nothing to compile; machine code: ")
+
+
+def test_progress_of_compilation_counts_its_time(capsys, monkeypatch):
+    compilation = dispatcher.Compilation()
+    monkeypatch.setattr(dispatcher, "COMPILATION", compilation)
+    monkeypatch.setattr(dispatcher, "MANY", 1)
+    now = [0.0]
+    clock = types.SimpleNamespace(monotonic=lambda: now[0])
+    monkeypatch.setattr(dispatcher, "time", clock)
+    monkeypatch.setattr("bulletuav.commands.progress.time", clock)
+    with show_progress("compiling", 2, "flights", is_compilation=True) as report:
+        for done in (1, 2):
+            with compilation.count():
+                now[0] += 60.0
+            report.note(f"{compilation.num_functions} functions")
+            report(done)
+    assert capsys.readouterr().err.splitlines() == [
+        "compiling: 1 of 2 flights (50 %), 0 s, 1 functions",
+        "compiling: 2 of 2 flights (100 %), 60 s, 2 functions",
+    ]
 
 
 def test_options_that_cannot_be_combined_are_skipped_and_errors_are_not(monkeypatch):
