@@ -448,7 +448,8 @@ def test_long_compilation_is_logged_once(monkeypatch, caplog, tmp_path):
     for number in (1, 1.0, 1j, True, np.float32(1.0)):
         compiled(number)
     assert [one.message for one in caplog.records] == [
-        "compiling for this machine, for a minute or two; later runs start immediately"
+        "compiling for this machine, for a minute or two; later runs start immediately "
+        "(bulletuav compile compiles everything at once)"
     ]
     assert compilation.num_functions == len(list(tmp_path.glob("*.nbc"))) == 5
     assert compilation.seconds >= 5 * 1000.0

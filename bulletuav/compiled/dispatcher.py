@@ -107,7 +107,8 @@ class Compilation:
             self.watch(self)
         elif self.num_functions == MANY and current_process().name.endswith(FIRST):
             _LOG.warning(
-                "compiling for this machine, for a minute or two; later runs start immediately"
+                "compiling for this machine, for a minute or two; later runs start immediately "
+                "(bulletuav compile compiles everything at once)"
             )
 
 

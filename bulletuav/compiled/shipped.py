@@ -60,10 +60,7 @@ LEVELS = (
 
 def find_level(folder: Path) -> ProcessorLevel | None:
     """Return the best level that the processor supports and a folder has machine code for."""
-    try:
-        features = llvm.get_host_cpu_features()
-    except RuntimeError:  # LLVM does not know the features of this kind of processor
-        return None
+    features = _host_features()
     if not config.ENABLE_AVX:
         features = {name: has and not name.startswith("avx") for name, has in features.items()}
     return next(
@@ -76,12 +73,26 @@ def find_level(folder: Path) -> ProcessorLevel | None:
     )
 
 
+def _host_features() -> dict[str, bool]:
+    """Return LLVM's features of the processor; none if LLVM does not know them."""
+    try:
+        return dict(llvm.get_host_cpu_features())
+    except RuntimeError:
+        return {}
+
+
+def target_features() -> str:
+    """Return the features of numba's target in this process, such as "+avx2,-avx512f"."""
+    features: str = cpu_target.target_context.codegen().magic_tuple()[2]
+    return features
+
+
 def native_mark() -> Path:
     """Return the file whose existence selects code for the processor itself.
 
     Its name depends on the processor, as computers may share a folder, and on the versions.
     """
-    target = llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten()
+    target = llvm.get_host_cpu_name(), sorted(_host_features().items())
     versions = __version__, numba.__version__, llvmlite.__version__, sys.implementation.cache_tag
     name = hashlib.sha256(repr((target, versions)).encode()).hexdigest()[:16]
     return cache_folder() / f"native-{name}"
@@ -103,7 +114,7 @@ def select_code(folder: Path) -> Path | None:
         return None
     config.CPU_NAME, config.CPU_FEATURES = level.name, level.settings
     # The features of a target that was set up before are those of the processor
-    if cpu_target.target_context.codegen().magic_tuple()[2] != level.settings:
+    if target_features() != level.settings:
         config.CPU_NAME = config.CPU_FEATURES = None
         return None
     return folder / level.name
