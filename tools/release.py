@@ -95,11 +95,12 @@ def build(place: Path, epoch: int, code: Path) -> list[Path]:
         The source distribution, and the wheel.
     """
     source, out = unpack(place), place / "dist"
-    if code.is_dir():
-        shutil.copytree(code, source / CODE)
+    # The source distribution is for any processor: the code is added after it
     for kind in ("--sdist", "--wheel"):
         command = (sys.executable, "-m", "build", kind, "--outdir", out, source)
         run(*command, SOURCE_DATE_EPOCH=str(epoch))
+        if kind == "--sdist" and code.is_dir():
+            shutil.copytree(code, source / CODE)
     (sdist,), (wheel,) = out.glob("*.tar.gz"), out.glob("*.whl")
     level(sdist, epoch)
     return [sdist, wheel]
