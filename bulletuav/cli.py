@@ -1,7 +1,8 @@
 """Command line `bulletuav`: find the command, run it, and report errors on one line.
 
 The commands are `tasks`, `fly`, `city`, `evaluate`, `compare`, `dataset`, `merge`, `train`,
-`tune`, `verify`, `replay`, `export`, `identify`, `incentives`, `serve`, `benchmark` and `doctor`.
+`tune`, `verify`, `replay`, `export`, `identify`, `incentives`, `serve`, `benchmark`, `compile` and
+`doctor`.
 """
 
 import argparse
@@ -38,6 +39,7 @@ COMMANDS = (
     "incentives",
     "serve",
     "benchmark",
+    "compile",
     "doctor",
 )
 """Names of the commands, and of their modules in `bulletuav.commands` and its `parsers`"""

@@ -18,28 +18,12 @@ import warnings
 import numpy as np
 
 import bulletuav
+from bulletuav.commands import covering
 
 DECISIONS = 90
 RANDOM = 20  # of them at random
 TO_GOAL = 20  # then so many towards the goal, and the others down
-UNCERTAIN = {
-    "mass": (0.8, 1.2),
-    "thrust": (0.9, 1.1),
-    "drag": (0.5, 1.5),
-    "motor_lag": (0.5, 2.0),
-    "battery": (0.0, 0.1),
-    "gps_noise": (0.1, 1.0),
-    "gps_walk": (0.0, 0.1),
-    "gps_dropout": (0.0, 0.2),
-    "lidar_noise": 0.1,
-    "lidar_dropout": 0.05,
-    "accelerometer_noise": 0.1,
-    "gyroscope_walk": 0.01,
-    "wind": (-2.0, 2.0),
-    "radio_delay": (0.005, 0.2),
-    "radio_loss": (0.0, 0.3),
-    "radio_range": (50.0, 200.0),
-}
+UNCERTAIN = dict(covering.UNCERTAIN)
 DOWN = (0.0, 0.0, -1.0)
 DYNAMICS = ("single_integrator", "double_integrator", "point_mass", "rigid_body", "bullet")
 DIFFICULTIES = ("easy", "medium", "hard", "extreme")

@@ -3,6 +3,7 @@ import ctypes
 import itertools
 import math
 import os
+import platform
 import re
 import subprocess
 import sys
@@ -17,7 +18,7 @@ import pytest
 from forking import forking
 
 import bulletuav
-from bulletuav.compiled import compiling, dispatcher, kernel, plain, stamps
+from bulletuav.compiled import compiling, dispatcher, folders, kernel, plain, shipped, stamps
 
 TANH = ctypes.CFUNCTYPE(ctypes.c_double, ctypes.c_double)(("tanh", ctypes.CDLL(None)))
 """A function of the C library, at an address of this process"""
@@ -50,11 +51,12 @@ def package(tmp_path, run_in):
     """A package of our modules that compile, a helper in one file, its caller in another."""
     folder = tmp_path / "small"
     (folder / "compiled").mkdir(parents=True)
-    for module in (kernel, dispatcher, compiling, plain, stamps):
+    for module in (kernel, dispatcher, compiling, plain, stamps, folders, shipped):
         file = Path(module.__file__)
         code = file.read_text().replace("from bulletuav.", "from small.")
         (folder / "compiled" / file.name).write_text(code)
     (folder / "__init__.py").write_text("")
+    (folder / "version.py").write_text('__version__ = "1"\n')
     (folder / "compiled" / "__init__.py").write_text("")
     (folder / "unrelated.py").write_text("x = 1\n")
     (folder / "helper.py").write_text(
@@ -302,9 +304,9 @@ def test_old_folders_are_forgotten_and_a_place_to_write_is_found(tmp_path, monke
     blocked = tmp_path / "file"
     blocked.write_text("")
     monkeypatch.setattr(numba.config, "CACHE_DIR", str(blocked))
-    monkeypatch.setattr(kernel.tempfile, "gettempdir", lambda: str(tmp_path / "temporary"))
+    monkeypatch.setattr(folders.tempfile, "gettempdir", lambda: str(tmp_path / "temporary"))
     assert Path(tmp_path, "temporary") in kernel.cache_folder().parents
-    monkeypatch.setattr(kernel.tempfile, "gettempdir", lambda: str(blocked))
+    monkeypatch.setattr(folders.tempfile, "gettempdir", lambda: str(blocked))
     with pytest.raises(OSError, match="set NUMBA_CACHE_DIR"):
         kernel.cache_folder()
 
@@ -446,7 +448,8 @@ def test_long_compilation_is_logged_once(monkeypatch, caplog, tmp_path):
     for number in (1, 1.0, 1j, True, np.float32(1.0)):
         compiled(number)
     assert [one.message for one in caplog.records] == [
-        "compiling for this machine, for a minute or two; later runs start immediately"
+        "compiling for this machine, for a minute or two; later runs start immediately "
+        "(bulletuav compile compiles everything at once)"
     ]
     assert compilation.num_functions == len(list(tmp_path.glob("*.nbc"))) == 5
     assert compilation.seconds >= 5 * 1000.0
@@ -499,3 +502,124 @@ def test_a_tuple_in_memory_has_no_other_fields():
 
     with pytest.raises(numba.TypingError, match="missing"):
         wrong(Inner(np.zeros(1), 1.0))
+
+
+SHIPS = "import numba; numba.config.CPU_NAME = 'x86-64-v2'; numba.config.CPU_FEATURES = ''; "
+"""Compiles for a level, as the build does"""
+
+
+@pytest.fixture
+def shipping(package, tmp_path):
+    """The package with machine code for x86-64-v2, moved to another place; its folder of code."""
+    folder, run = package
+    assert run(SHIPS, kind="cold") == (20, 0)
+    code = folder / "compiled" / "shipped" / "x86-64-v2"
+    code.mkdir(parents=True)
+    (kept,) = (tmp_path / "cache" / "bulletuav-kernels").iterdir()
+    for file in kept.glob("*.nbc"):
+        file.rename(code / file.name)
+    (tmp_path / "elsewhere").mkdir()
+    folder.rename(tmp_path / "elsewhere" / "small")
+    code = tmp_path / "elsewhere" / "small" / "compiled" / "shipped" / "x86-64-v2"
+
+    def run_elsewhere(before="", kind="cold"):
+        before = f"import sys; sys.path.insert(0, {str(tmp_path / 'elsewhere')!r}); {before}"
+        return run(before, kind=kind)
+
+    return code, run_elsewhere
+
+
+def stored(tmp_path):
+    return list((tmp_path / "cache").rglob("*.nbc"))
+
+
+@pytest.mark.skipif(platform.machine() not in ("x86_64", "AMD64"), reason="levels are of x86-64")
+class TestShipped:
+    def test_code_of_the_package_is_loaded_from_anywhere_and_nothing_written(
+        self, shipping, tmp_path
+    ):
+        code, run = shipping
+        before = {file: file.stat().st_mtime_ns for file in code.rglob("*")}
+        code.chmod(0o500)
+        assert run() == (20, 1)
+        assert {file: file.stat().st_mtime_ns for file in code.rglob("*")} == before
+        assert not stored(tmp_path)
+
+    @pytest.mark.parametrize("size", [0, 100, None])
+    def test_damaged_code_is_compiled_again_and_kept_in_the_cache(self, shipping, tmp_path, size):
+        code, run = shipping
+        for file in code.iterdir():
+            data = bytearray(file.read_bytes())
+            data[len(data) // 2] ^= 1
+            file.write_bytes(data[:size])
+        assert run() == (20, 0)
+        assert len(stored(tmp_path)) == len(list(code.iterdir()))
+        assert run() == (20, 1)
+
+    @pytest.mark.parametrize(
+        ("before", "kind"),
+        [
+            ("", "warm"),  # numba was initialised for this processor before
+            ("import numba; numba.config.CPU_NAME = 'nocona'; ", "cold"),
+            ("import numba; numba.config.CPU_FEATURES = '-avx2'; ", "cold"),
+            ("import llvmlite; llvmlite.__version__ = '0.1'; ", "cold"),
+            ("import numba; numba.__version__ = '0.1'; ", "cold"),
+        ],
+    )
+    def test_code_for_anything_else_is_not_loaded(self, shipping, tmp_path, before, kind):
+        _, run = shipping
+        assert run(before, kind=kind) == (20, 0)
+        assert stored(tmp_path)
+
+    def test_code_of_an_edited_file_is_not_loaded(self, shipping):
+        code, run = shipping
+        edit(code.parents[2] / "helper.py", "x + 1", "x + 2")
+        assert run() == (30, 0)
+
+    def test_native_code_is_compiled_if_it_was_requested(self, shipping):
+        _, run = shipping
+        mark = "from small.compiled.shipped import native_mark; native_mark()"
+        assert run() == (20, 1)
+        assert run(f"{mark}.touch(); import os; ") == (20, 1)  # this process began before
+        assert run() == (20, 0)
+        assert run(f"{mark}.unlink(); ") == (20, 1)  # compiled before
+        assert run() == (20, 1)
+
+
+V2 = dict.fromkeys(shipped.LEVELS[2].features, True)
+V3 = dict.fromkeys(shipped.LEVELS[1].features, True)
+V4 = dict.fromkeys(shipped.LEVELS[0].features, True)
+
+
+@pytest.mark.parametrize(
+    ("features", "built", "level"),
+    [
+        (V4, "234", "x86-64-v4"),
+        (V4, "23", "x86-64-v3"),
+        (V4 | {"avx512vl": False}, "234", "x86-64-v3"),
+        (V3, "234", "x86-64-v3"),
+        (V3 | {"bmi2": False}, "234", "x86-64-v2"),
+        (V2, "34", None),
+        ({"sse2": True}, "234", None),
+        ({"neon": True}, "234", None),
+        (V4, "", None),
+    ],
+)
+def test_the_best_level_that_the_processor_supports(features, built, level, tmp_path, monkeypatch):
+    for number in built:
+        (tmp_path / f"x86-64-v{number}").mkdir()
+    monkeypatch.setattr(shipped.llvm, "get_host_cpu_features", lambda: features)
+    found = shipped.find_level(tmp_path)
+    assert (found and found.name) == level
+    # Numba's own switch
+    monkeypatch.setattr(shipped.config, "ENABLE_AVX", 0)
+    found = shipped.find_level(tmp_path)
+    assert (found and found.name) == ("x86-64-v2" if level and "2" in built else None)
+
+
+def test_an_unknown_processor_has_no_level(monkeypatch, tmp_path):
+    def unknown():
+        raise RuntimeError
+
+    monkeypatch.setattr(shipped.llvm, "get_host_cpu_features", unknown)
+    assert shipped.find_level(tmp_path) is None

@@ -14,7 +14,7 @@ import pytest
 import bulletuav
 from bulletuav.adapters.sb3_model import Sb3Model
 from bulletuav.cli import main
-from bulletuav.compiled import kernel
+from bulletuav.compiled import folders, kernel
 from bulletuav.policies import find_policy
 from bulletuav.policies.neural_network import read_weights
 from bulletuav.policies.run import RunConfig
@@ -275,9 +275,9 @@ def test_compiled_kernels_are_read_from_folders_of_ones_own(tmp_path, monkeypatc
 
     Nobody else may be able to write there.
     """
-    monkeypatch.setattr(kernel.numba.config, "CACHE_DIR", str(tmp_path / "file" / "below"))
+    monkeypatch.setattr(folders.config, "CACHE_DIR", str(tmp_path / "file" / "below"))
     (tmp_path / "file").write_text("")
-    monkeypatch.setattr(kernel.tempfile, "gettempdir", lambda: str(tmp_path))
+    monkeypatch.setattr(folders.tempfile, "gettempdir", lambda: str(tmp_path))
     spare = tmp_path / f"bulletuav-{os.getuid()}"
     assert kernel.cache_folder().is_relative_to(spare)
     assert stat.S_IMODE(spare.stat().st_mode) == 0o700

@@ -23,6 +23,8 @@ CODE = re.compile(r"^```.*?^```$|`[^`\n]+`", re.MULTILINE | re.DOTALL)
 ROW = re.compile(r"^\| `(bulletuav[\w.]*)` \| (.*) \|$", re.MULTILINE)
 LANGUAGES = {".py": "python", ".toml": "toml", ".yaml": "yaml", ".urdf": "xml", ".c": "c"}
 REFERENCE = "reference"
+BUILT = "shipped"
+"""Folder of machine code that `build_code.py` builds, which is no text"""
 
 
 def public_names(text: str) -> dict[str, list[str]]:
@@ -68,7 +70,8 @@ def show(path: str) -> str:
         return place.read_text(encoding="utf-8")
     title = f"---\nsearch:\n  exclude: true\n---\n\n# `{path}`\n\n"
     if place.is_dir():
-        names = sorted(one.name for one in place.iterdir() if not one.name.startswith((".", "_")))
+        shown = (one.name for one in place.iterdir() if not one.name.startswith((".", "_")))
+        names = sorted(name for name in shown if name != BUILT)
         name = posixpath.basename(path)
         return title + "\n".join(f"- [{one}]({name}/{one})" for one in names)
     code = place.read_text(encoding="utf-8").rstrip()

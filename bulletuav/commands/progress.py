@@ -19,6 +19,8 @@ EXPECTED_FUNCTIONS = 270
 """Typical number of functions compiled on the first run: 246 (point_mass) to 300 (bullet)"""
 Show = Callable[[float, str], None]
 """Function that displays the finished amount and a note"""
+Clock = Callable[[], float]
+"""Function that returns a time, s"""
 
 
 class ProgressReport:
@@ -38,25 +40,32 @@ class ProgressReport:
 
 
 @contextlib.contextmanager
-def show_progress(activity: str, total: int, unit: str) -> Iterator[ProgressReport]:
+def show_progress(
+    activity: str, total: int, unit: str, is_compilation: bool = False
+) -> Iterator[ProgressReport]:
     """Show the progress of an activity.
 
     Args:
         activity: Name of the activity, such as "flying".
         total: Total amount of work.
         unit: Unit of `total`, such as "decisions".
+        is_compilation: Whether the activity itself is compilation. Otherwise compilation is shown
+            separately, and does not count towards the time of the activity.
 
     Yields:
         The callback for the finished amount. Nothing is shown before its first call, so that input
         errors are printed first.
     """
     console = Console(stderr=True)
+    clock = time.monotonic if is_compilation else _working_time
     if console.is_terminal:
-        display = _bar(console, activity, total, unit)
+        display = _bar(console, activity, total, unit, clock)
     else:
-        display = _lines(activity, total, unit)
+        display = _lines(activity, total, unit, clock)
     try:
         with display as show:
+            if is_compilation:
+                dispatcher.COMPILATION.watch = lambda _: None
             yield ProgressReport(show)
     finally:
         dispatcher.COMPILATION.forget_watch()
@@ -75,7 +84,7 @@ def _compiled(compilation: Compilation) -> str:
 
 
 @contextlib.contextmanager
-def _bar(console: Console, activity: str, total: int, unit: str) -> Iterator[Show]:
+def _bar(console: Console, activity: str, total: int, unit: str, clock: Clock) -> Iterator[Show]:
     """Show a bar with the remaining time, and another bar during compilation."""
     columns = (
         TextColumn("{task.description}"),
@@ -86,9 +95,7 @@ def _bar(console: Console, activity: str, total: int, unit: str) -> Iterator[Sho
     )
     # Without a refresh thread of Rich: a worker that is forked while the thread holds the lock of
     # the terminal would wait for this lock forever
-    with Progress(
-        *columns, console=console, get_time=_working_time, auto_refresh=False
-    ) as progress:
+    with Progress(*columns, console=console, get_time=clock, auto_refresh=False) as progress:
         bars: dict[str, TaskID] = {}
         next_drawing = 0.0
 
@@ -123,7 +130,7 @@ def _bar(console: Console, activity: str, total: int, unit: str) -> Iterator[Sho
 
 
 @contextlib.contextmanager
-def _lines(activity: str, total: int, unit: str) -> Iterator[Show]:
+def _lines(activity: str, total: int, unit: str, clock: Clock) -> Iterator[Show]:
     """Print a line at the start, every `LINE_PERIOD`, and at the end."""
     begin: float | None = None  # time of the first report; earlier time is not counted
     next_line = 0.0  # compilation time at which the next line is due
@@ -139,7 +146,7 @@ def _lines(activity: str, total: int, unit: str) -> Iterator[Show]:
 
     def show(done: float, note: str) -> None:
         nonlocal begin, last
-        now = _working_time()
+        now = clock()
         begin = now if begin is None else begin
         # Trainers may exceed the total, as they finish the last rollout
         done = min(done, total)

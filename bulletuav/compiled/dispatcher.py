@@ -20,6 +20,7 @@ import pickle
 import re
 import sys
 import time
+import zlib
 from collections.abc import Callable, Iterator, Mapping
 from importlib import import_module
 from multiprocessing import current_process
@@ -38,6 +39,7 @@ from numba.core.serialize import dumps
 
 from bulletuav.compiled.compiling import PartCompiler, any_number, seldom_collected
 from bulletuav.compiled.plain import SWITCH, as_compiled, plain_function
+from bulletuav.compiled.shipped import CODE
 from bulletuav.compiled.stamps import stamp_of
 
 fcntl: ModuleType | None
@@ -105,7 +107,8 @@ class Compilation:
             self.watch(self)
         elif self.num_functions == MANY and current_process().name.endswith(FIRST):
             _LOG.warning(
-                "compiling for this machine, for a minute or two; later runs start immediately"
+                "compiling for this machine, for a minute or two; later runs start immediately "
+                "(bulletuav compile compiles everything at once)"
             )
 
 
@@ -142,8 +145,10 @@ class Need(NamedTuple):
 class Cache:
     """Machine code of a function on disk, with a stamp of all files that the function depends on.
 
-    Each specialisation is a separate file, and the file name identifies it. Numba's own cache reads
-    an index first, and sets up the compiler before it looks for stored code.
+    Each specialisation is a separate file, and the file name identifies it: by names, contents and
+    versions, so that it is the same wherever the package is. Files that come with the package (see
+    `bulletuav.compiled.shipped`) are only read, others are in the cache folder. Numba's own cache
+    reads an index first, and sets up the compiler before it looks for stored code.
     """
 
     _locks: ClassVar[dict[Path, int]] = {}
@@ -170,17 +175,23 @@ class Cache:
 
     def load_overload(self, signature: Any, context: Any) -> Any:
         """Load the machine code for a signature; None if it is not stored."""
+        file = self._file(signature, context)
+        files = [file] if CODE is None else [CODE / file.name, file]
+        found = (self._load(one, context) for one in files)
+        return next((one for one in found if one is not None), None)
+
+    def _load(self, file: Path, context: Any) -> Any:
+        """Load the machine code in a file; None if the file is absent, damaged or outdated."""
         try:
-            data = self._file(signature, context).read_bytes()
-        except FileNotFoundError:
+            # A damaged file, as after a crash of the system, has another checksum
+            data = zlib.decompress(file.read_bytes())
+        except (OSError, zlib.error):
             return None
-        if not data.endswith(pickle.STOP):
-            return None  # the file is incomplete, as after a crash of the system
         _name_helpers()
         if b"hashsecret" in data:
             # Numba registers these symbols when it imports this module, which is slow
             import_module("numba.cpython.hashing")
-        # Unpickling is safe: only this user can write to the folder
+        # Unpickling is safe: only this user, or the one who installed the package, wrote the file
         needs, payload = pickle.loads(data)
         if not all(need.is_met() for need in needs):
             return None
@@ -194,15 +205,19 @@ class Cache:
         library = compiled.library
         linked = (need for other in library._linking_libraries for need in _asked(other))
         library.needs = tuple(dict.fromkeys((*getattr(library, "deferred_entries", ()), *linked)))
-        if self._is_apart():
-            # Callers copy this stub, of which numba reads only the name
-            name = compiled.fndesc.mangled_name
-            library._shared_module = llvm.parse_assembly(f'define void @"{name}"() {{ ret void }}')
+        if self._is_apart() or not self._suffix:
+            # Callers, if any, copy these stubs, of which numba reads only the names
+            names = [compiled.fndesc.mangled_name]
+            names += [] if self._suffix else [compiled.fndesc.llvm_cpython_wrapper_name]
+            stubs = (f'define void @"{name}"() {{ ret void }}' for name in names)
+            library._shared_module = llvm.parse_assembly("\n".join(stubs))
         # Addresses of this process are invalid in another process
         if not library.has_dynamic_globals:
             file = self._file(signature, compiled.target_context)
             try:
-                _replace(file, dumps((library.needs, compiled._reduce())))
+                # Without the annotated source, which has paths of this computer
+                reduced = compiled._replace(type_annotation="")._reduce()
+                _replace(file, zlib.compress(dumps((library.needs, reduced))))
                 self._forget_old(file)
             except OSError as error:
                 _warn_once(f"{error}: compiled functions are not stored for later runs")
@@ -255,7 +270,9 @@ class Cache:
         """Prefix of the names of all files of the function."""
         function = self._py_func
         code = function.__code__
-        place = f"{code.co_filename} {function.__qualname__} {code.co_firstlineno} {self._suffix}"
+        place = (
+            f"{function.__module__} {function.__qualname__} {code.co_firstlineno} {self._suffix}"
+        )
         name = re.sub(r"\W", "", function.__name__)
         return f"{name}-{hashlib.sha256(place.encode()).hexdigest()[:12]}"
 

@@ -19,7 +19,6 @@ from llvmlite import ir
 from numba import types
 from numba.core import cgutils
 from numba.core.imputils import lower_builtin, lower_cast, lower_getattr_generic
-from numba.core.registry import cpu_target
 from numba.core.typeconv import Conversion
 from numba.core.typing.templates import (
     AbstractTemplate,
@@ -32,10 +31,10 @@ from numba.extending import intrinsic, models, register_model
 from numba.np.arrayobj import make_array
 
 from bulletuav.compiled.plain import LaneNumbers, in_python, select_lanes
+from bulletuav.compiled.shipped import target_features
 from bulletuav.compiled.stamps import stamp_of
 
-# numba's codegen respects processor features that environment variables disable
-WIDTH = 8 if "+avx512f" in cpu_target.target_context.codegen().magic_tuple()[2] else 4
+WIDTH = 8 if "+avx512f" in target_features() else 4
 """Drones in a block: eight for AVX-512, whose vectors have eight numbers, else four, as other
 processors have half the registers. Results do not depend on it, to the bit."""
 _STAMP = f"{WIDTH} {stamp_of(__file__)}"

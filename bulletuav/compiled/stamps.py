@@ -10,6 +10,7 @@ import os
 import re
 from pathlib import Path
 
+import llvmlite
 import numba
 
 PACKAGE = Path(__file__).parents[1]
@@ -27,18 +28,25 @@ def stamp_of(file: str) -> str:
         file: Path of the file.
 
     Returns:
-        16 hexadecimal digits of a hash that includes the version of numba.
+        16 hexadecimal digits of a hash that includes the versions of numba and llvmlite, and does
+        not depend on where the package is.
     """
-    digest = hashlib.sha256(numba.__version__.encode())
+    digest = hashlib.sha256(f"{numba.__version__} {llvmlite.__version__}".encode())
     seen = {file}
     waiting = [file]
     while waiting:
         new = _imported(waiting.pop()) - seen
         seen |= new
         waiting.extend(new)
-    for one in sorted(seen):
-        digest.update(_hash(one))
+    for name, one in sorted((_name(one), one) for one in seen):
+        digest.update(name.encode() + _hash(one))
     return digest.hexdigest()[:16]
+
+
+def _name(file: str) -> str:
+    """Name a file, independent of the folder of the package."""
+    path = Path(file)
+    return path.relative_to(PACKAGE).as_posix() if PACKAGE in path.parents else path.name
 
 
 @functools.cache

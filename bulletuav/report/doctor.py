@@ -6,7 +6,10 @@ import platform
 import re
 from typing import NamedTuple
 
-from bulletuav.compiled.kernel import cache_folder
+from numba import config
+
+from bulletuav.compiled.folders import cache_folder
+from bulletuav.compiled.shipped import CODE, native_mark
 from bulletuav.dynamics import DEFAULT_DYNAMICS
 from bulletuav.engine.calls import HAS_BULLET
 from bulletuav.engine.engine import EXTENSION, Engine
@@ -53,6 +56,7 @@ def examine() -> list[Finding]:
         _bullet(),
         *packages,
         _extension(),
+        Finding("machine code", describe_code()),
         Finding("compiled kernels", str(cache_folder())),
         _screen(),
         *_extras(),
@@ -64,6 +68,17 @@ def _bullet() -> Finding:
     if HAS_BULLET:
         return Finding("pybullet", importlib.metadata.version("pybullet"))
     return Finding("pybullet", WITHOUT_BULLET, install("bullet"))
+
+
+def describe_code() -> str:
+    """Describe which machine code flies, and for which processor numba compiles other code."""
+    if CODE is not None:
+        return f"that of the package, for {CODE.name}; numba compiles all other code for it, too"
+    if config.CPU_NAME is not None:
+        return f"compiled when needed, for NUMBA_CPU_NAME={config.CPU_NAME}"
+    if native_mark().is_file():
+        return "compiled for this processor, by bulletuav compile --native"
+    return "compiled for this processor when needed, or at once by bulletuav compile"
 
 
 def _extension() -> Finding:

@@ -13,11 +13,14 @@ from pathlib import Path
 from types import FunctionType
 from typing import Any
 
-from bulletuav.compiled.kernel import cache_folder, uncached
+from bulletuav.compiled.folders import cache_folder
+from bulletuav.compiled.kernel import uncached
 from bulletuav.files import replace_file
 
 TUPLES = (2, 3, 4)
 """Vector sizes that are passed to functions as tuples; longer vectors are passed as arrays"""
+LOOP_MODULE = "_bulletuav_loop_"
+"""Prefix of the module names of loops, before the name of the file"""
 Form = str | int
 """How an argument is read: a key of `_EXPRESSIONS`, or the size of a vector"""
 
@@ -101,7 +104,12 @@ def _from_file(module: str, name: str, source: str) -> Callable[..., None]:
     if not path.is_file():
         path.parent.mkdir(exist_ok=True)
         replace_file(path, text)
-    spec = importlib.util.spec_from_file_location(f"_bulletuav_loop_{path.stem}", path)
+    return load_loop(path)
+
+
+def load_loop(path: Path) -> Callable[..., None]:
+    """Import the file of a loop as a module of its own, and return the loop."""
+    spec = importlib.util.spec_from_file_location(f"{LOOP_MODULE}{path.stem}", path)
     assert spec is not None
     assert spec.loader is not None  # a file of Python source has both
     loaded = importlib.util.module_from_spec(spec)

@@ -51,6 +51,10 @@ def run(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(LiveView, "wait", lambda self: None)
     # It flies when all autopilots have answered, and there are none here
     monkeypatch.setattr(HilServer, "run", lambda self, seconds: None)
+    # Tests of the command itself are in test_compile.py
+    monkeypatch.setattr("bulletuav.commands.covering.list_flights", lambda: [])
+    monkeypatch.setattr("bulletuav.commands.compile.native_mark", lambda: tmp_path / "native")
+    monkeypatch.setattr("bulletuav.commands.compile._run_again", lambda variables: None)
 
     def run(words):
         # Stages are measured of a task as it is

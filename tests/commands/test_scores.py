@@ -26,6 +26,7 @@ WITHOUT_SCORES = {
     "identify": "fits constants to logs",
     "serve": "serves other programs",
     "benchmark": "measures speed",
+    "compile": "compiles",
     "doctor": "describes the installation",
 }
 
