@@ -150,7 +150,7 @@ def of(name):
         (without_an_axis_for_labels, r"gave an array \(2, 3\) .* an array \(2, 3, 1\) of numbers"),
         (misspelt, "'misspelt' of task 'perch' asks for 'distanse', .*did you mean 'distance'"),
         (labelled_by_texts, r"labels of .* are \('high',\): a list of Label\(name, unit"),
-        (undecorated, "a Block is needed; decorate a function .* with @block"),
+        (undecorated, "a Block is needed; decorate a per-drone function with @block"),
         ("no_such_module:it", "observation no_such_module:it cannot be imported"),
         (without_labels, "labels of .*'without_labels'"),
         (of_all_not_a_number, f"{of('of_all_not_a_number')}.*finite"),

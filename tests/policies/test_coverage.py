@@ -177,8 +177,11 @@ class Walking(Los):
     name = "walking"
 
     def move_scene(self, scene, time, flying, rngs):
-        scene.memory["users"][flying, :, 0] += 3.0 * self.context.period
-        return False
+        users = scene.memory["users"].copy()
+        moved = super().move_scene(scene, time, flying, rngs)
+        users[flying, :, 0] += 3.0 * self.context.period
+        scene.memory["users"][:] = users
+        return moved
 
 
 def city_of(*boxes, side=300.0):
