@@ -3,6 +3,7 @@ import multiprocessing
 import os
 import runpy
 import sys
+from pathlib import Path
 
 # Two processes fly at once: threads of PyTorch and BLAS in each would wait for one another.
 # Set before these are imported, and inherited by what tests start.
@@ -30,6 +31,17 @@ settings.register_profile(
     "bulletuav", deadline=None, derandomize=True
 )  # the first call may compile
 settings.load_profile("bulletuav")
+
+
+LENGTHY = frozenset(Path(__file__).with_name("lengthy.txt").read_text().splitlines())
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items):
+    """Mark tests that take long, before pytest selects by marks."""
+    for item in items:
+        if item.nodeid.partition("[")[0] in LENGTHY:
+            item.add_marker("lengthy")
 
 
 @pytest.hookimpl(wrapper=True)
