@@ -40,7 +40,8 @@ LENGTHY = frozenset(Path(__file__).with_name("lengthy.txt").read_text().splitlin
 def pytest_collection_modifyitems(items):
     """Mark tests that take long, before pytest selects by marks."""
     for item in items:
-        if item.nodeid.partition("[")[0] in LENGTHY:
+        name = item.nodeid.partition("[")[0]
+        if name in LENGTHY or name.partition("::")[0] in LENGTHY:
             item.add_marker("lengthy")
 
 

@@ -1,6 +1,6 @@
 """Build the machine code that wheels ship, for each level of x86-64 processors.
 
-    python tools/build_code.py [--levels x86-64-v3 ...] [--out FOLDER]
+    python tools/build_code.py [--levels x86-64-v3 ...] [--tasks hover ...] [--out FOLDER]
 
 The tool flies the covering flights (`bulletuav.commands.covering`), and lists the functions that
 they used, with the types of arguments. It then compiles these for each level, in a process of its
@@ -16,7 +16,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -71,8 +71,13 @@ def find_roots() -> list[Root]:
     return sorted(kept, key=lambda root: (root[:3], str(root.arguments)))
 
 
-def fly(file: Path) -> None:
-    """Fly, and write the specialisations that were used, and the sources of loops, to a file."""
+def fly(file: Path, tasks: Sequence[str]) -> None:
+    """Fly, and write the specialisations that were used, and the sources of loops, to a file.
+
+    Args:
+        file: The file.
+        tasks: Names of tasks whose flights are flown; all flights if empty.
+    """
     from numba.core.serialize import dumps
 
     from bulletuav.commands.covering import list_flights
@@ -80,7 +85,7 @@ def fly(file: Path) -> None:
     from bulletuav.compiled.folders import cache_folder
     from bulletuav.tasks.loops import LOOP_MODULE
 
-    flights = list_flights()
+    flights = [one for one in list_flights() if not tasks or one.name.split(",")[0] in tasks]
     with show_progress("flying", len(flights), "flights", is_compilation=True) as report:
         for k, flight in enumerate(flights):
             report.note(flight.name)
@@ -158,6 +163,7 @@ def main() -> None:
     """Fly, and compile for all levels."""
     parser = argparse.ArgumentParser(description="Build the machine code that wheels ship.")
     parser.add_argument("--levels", nargs="+", choices=LEVELS, default=LEVELS)
+    parser.add_argument("--tasks", nargs="+", default=(), help="tasks to fly (default: all)")
     parser.add_argument("--out", type=Path, default=OUT, help="folder with a folder for each level")
     parser.add_argument("--roots", type=Path, help=argparse.SUPPRESS)
     arguments = parser.parse_args()
@@ -167,7 +173,7 @@ def main() -> None:
         return
     with tempfile.TemporaryDirectory() as folder:
         roots = Path(folder, "roots")
-        fly(roots)
+        fly(roots, arguments.tasks)
         for level in arguments.levels:
             run_for(level, roots, arguments.out)
 
