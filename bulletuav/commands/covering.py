@@ -17,13 +17,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bulletuav.analysis.evaluation import evaluate
+from bulletuav.analysis.recording import fly_episode
 from bulletuav.compiled.deferred import compile_deferred
 from bulletuav.dynamics import DYNAMICS
 from bulletuav.envs.airspace import Airspace
 from bulletuav.envs.aviary import Aviary
 from bulletuav.identification.example import fly_example, write_example_log
 from bulletuav.identification.identify import identify
-from bulletuav.policies import policy_names
+from bulletuav.policies import find_policy, policy_names
 from bulletuav.registry import names
 from bulletuav.tasks import find_task, list_tasks
 from bulletuav.vehicle.airframes import available_airframes, load_airframe
@@ -60,6 +61,8 @@ EFFECTS = ("drag", "downwash")
 CONTACTS = ("stop", "impulse", "bullet")
 POLICY_TASKS = ("converge", "hover", "default", "lidar_navigation", "coverage", "los", "mec")
 """Tasks in which each policy flies that supports them; each task is flown by its baseline"""
+RECORDED = ("hover", "navigation")
+"""Tasks of which an episode is recorded, as `bulletuav fly` does"""
 WHOLE = ("race", "pursuit")
 """Tasks whose episodes cannot be short, as a lap has to fit"""
 
@@ -94,6 +97,9 @@ def list_flights() -> list[CoveringFlight]:
     flown += [
         CoveringFlight(f"{task}, {policy}", functools.partial(_evaluate, task, policy))
         for policy, task in pairs
+    ]
+    flown += [
+        CoveringFlight(f"{task}, recorded", functools.partial(_record, task)) for task in RECORDED
     ]
     flown += [
         CoveringFlight(f"airspace, {dynamics}", functools.partial(_fly_airspace, dynamics, sensors))
@@ -192,6 +198,16 @@ def _evaluate(task: str, policy: str) -> None:
     """Fly a policy in two episodes, short ones if the task permits."""
     options: dict[str, Any] = {} if task in WHOLE else {"horizon": DECISIONS}
     evaluate(task, policy, 2, **options)
+
+
+def _record(task: str) -> None:
+    """Record a short episode of a task's baseline."""
+    spec = find_policy(find_task(task).baseline, task)
+    aviary = Aviary(task, 1, **spec.complete(task, {"horizon": DECISIONS}))
+    try:
+        fly_episode(aviary, spec(aviary), 0)
+    finally:
+        aviary.close()
 
 
 def _fly_airspace(dynamics: str, sensors: Sequence[str]) -> None:
