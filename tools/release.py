@@ -5,7 +5,7 @@
 It builds what is committed, in two folders of different names. Files of a release are only those
 that came out alike, to the last byte. On x86-64, the wheel gets machine code for three levels of
 processors (see `tools/build_code.py`), which takes half an hour; `--no-code` leaves it out. It
-needs the extra `dev`. Wheels for other systems are made by cibuildwheel, as `pyproject.toml` tells,
+needs the extra `dev`. Wheels for other systems are made by cibuildwheel, as `pyproject.toml` says,
 from the source distribution.
 """
 

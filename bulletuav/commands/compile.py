@@ -1,4 +1,4 @@
-"""`bulletuav compile`: compile all functions at once, before the first flight."""
+"""`bulletuav compile`: compile all functions before the first flight."""
 
 import argparse
 import os

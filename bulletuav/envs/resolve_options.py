@@ -231,7 +231,9 @@ def _validate_config(config: TaskConfig) -> TaskConfig:
     bounds: dict[str, dict[str, Any]] = {}
     for kind in reversed(type(config).__mro__):
         for name, field in vars(kind).get("__dataclass_fields__", {}).items():
-            bounds.setdefault(name, {}).update(field.metadata)
+            # Other keys are the author's own
+            given = {key: field.metadata[key] for key in field.metadata.keys() & {"least", "most"}}
+            bounds.setdefault(name, {}).update(given)
     stored = {
         field.name: _validate(
             field.name, kinds[field.name], getattr(config, field.name), **bounds[field.name]

@@ -78,7 +78,7 @@ def describe_code() -> str:
         return f"compiled when needed, for NUMBA_CPU_NAME={config.CPU_NAME}"
     if native_mark().is_file():
         return "compiled for this processor, by bulletuav compile --native"
-    return "compiled for this processor when needed, or at once by bulletuav compile"
+    return "compiled for this processor when needed, or all of it by bulletuav compile"
 
 
 def _extension() -> Finding:

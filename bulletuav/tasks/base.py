@@ -181,7 +181,7 @@ class Task(ABC, Generic[ConfigT]):
                 `super()`.
         """
         kind = type(part)
-        for name in vars(Part).keys() & vars(Task).keys():
+        for name in sorted(vars(Part).keys() & vars(Task).keys()):
             hiding = _hiding_class(type(self), name)
             if hiding and getattr(kind, name) is not getattr(Part, name):
                 raise TypeError(
@@ -499,12 +499,12 @@ class Task(ABC, Generic[ConfigT]):
 
 def _hiding_class(kind: type[Task[Any]], method: str) -> str:
     """Return the name of the class whose override of a method of `Task` does not call it, or ""."""
+    callers = {"super", *(base.__name__ for base in kind.__mro__)}
     for owner in kind.__mro__[: kind.__mro__.index(Task)]:
         function = vars(owner).get(method)
         if isfunction(function):
-            used = {"super", *(base.__name__ for base in kind.__mro__)}
             names = unwrap(function).__code__.co_names
-            if method not in names or used.isdisjoint(names):
+            if method not in names or callers.isdisjoint(names):
                 return owner.__name__
     return ""
 

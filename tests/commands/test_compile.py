@@ -69,9 +69,9 @@ def test_compiling_reports_what_was_compiled(mark, monkeypatch, capsys, tmp_path
     monkeypatch.setattr(covering, "list_flights", lambda: flights)
     monkeypatch.setattr(covering, "compile_deferred", lambda: None)
     main(["compile"])
-    told = capsys.readouterr()
-    assert told.out.startswith("compiled 1 functions in ")
-    assert "compiling: 1 of 1 flights (100 %)" in told.err
+    output = capsys.readouterr()
+    assert output.out.startswith("compiled 1 functions in ")
+    assert "compiling: 1 of 1 flights (100 %)" in output.err
     monkeypatch.setattr(COMPILATION, "num_functions", 0)
     main(["compile"])
     assert capsys.readouterr().out.startswith("nothing to compile; machine code: ")

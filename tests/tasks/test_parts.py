@@ -1,7 +1,7 @@
 """Parts of a task: what it asks all of them for, in the order in which they were added."""
 
 import contextlib
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import ClassVar, Literal
 
 import numpy as np
@@ -224,7 +224,7 @@ def test_a_new_default_of_an_option_keeps_its_bounds():
     class ManyConfig(crossing.Config):
         """Options of `crossing`, with obstacles."""
 
-        num_obstacles: int = 10
+        num_obstacles: int = field(default=10, metadata={"unit": "spheres"})
 
     many = type("Many", (crossing,), {"name": "many", "Config": ManyConfig})
     with contextlib.closing(bulletuav.Aviary(many, num_obstacles=0, **QUICK)) as aviary:

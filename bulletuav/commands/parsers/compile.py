@@ -3,7 +3,7 @@
 import argparse
 
 ABOUT = {
-    "help": "compile all functions at once, so that no later flight has to wait",
+    "help": "compile all functions now, so that no later flight has to wait",
     "description": (
         "Fly short flights in all tasks, dynamics, actions and policies, and keep the functions "
         "that are compiled for them. Code that comes with the package is not compiled again. "
