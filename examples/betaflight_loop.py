@@ -2,7 +2,7 @@
 
 Shows software in the loop. Each drone has its own Betaflight process, which receives sensor
 measurements and commands the motors. A simulated pilot moves the sticks. Prints how well the drones
-hover, roll, and recover. See docs/bridges/betaflight.md.
+hover, roll, and recover. See docs/howto/bridges/betaflight.md.
 
 The firmware is GPL, and not part of this package. Install it on Linux, with gcc and make:
 

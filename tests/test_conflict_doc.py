@@ -1,4 +1,4 @@
-"""Tables of docs/conflict.md: they are what their commands flew, and fly the same again."""
+"""Tables of docs/explanation/conflict.md: they are what their commands flew, and fly the same again."""
 
 import csv
 import re
@@ -10,7 +10,7 @@ import pytest
 import bulletuav
 
 DOCS = Path(__file__).parents[1] / "docs"
-PAGE = (DOCS / "conflict.md").read_text()
+PAGE = (DOCS / "explanation" / "conflict.md").read_text()
 AVOIDANCE = DOCS / "results" / "avoidance" / "leaderboard.csv"
 CAPTURES = DOCS / "results" / "pursuit_evasion"
 

@@ -386,7 +386,7 @@ def test_the_page_for_those_who_come_shows_lines_of_the_scripts(name):
         return re.sub(r"\s", "", code).replace(",)", ")")
 
     source = bare((FOLDER / GYM / f"{name}.py").read_text())
-    page = (ROOT / "docs" / f"{GYM}.md").read_text()
+    page = (ROOT / "docs" / "howto" / f"migrate_{GYM}.md").read_text()
     (section,) = re.findall(rf"^## {name}\.py$(.*?)(?=^## |\Z)", page, re.MULTILINE | re.DOTALL)
     rows = re.findall(r"^\| .* \| (.*) \|$", section, re.MULTILINE)
     codes = [code for row in rows for code in re.findall(r"`([^`]+)`", row)]

@@ -10,7 +10,7 @@ import pytest
 import bulletuav
 
 PACKAGE = Path(bulletuav.__file__).parent
-PAGE = PACKAGE.parent.joinpath("docs", "compilation.md").read_text()
+PAGE = PACKAGE.parent.joinpath("docs", "explanation", "compilation.md").read_text()
 NAMES = re.findall(r"^\| `(numba\.[\w.]+)` \|", PAGE, re.MULTILINE)
 ATTRIBUTES = {
     "dispatcher": ("_cache", "_cache_hits", "_cache_misses", "_compiler", "_compiling_counter"),

@@ -1,4 +1,4 @@
-"""The list of public names in docs/releases.md is what documentation and examples import."""
+"""The list of public names in docs/reference/names.md is what documentation and examples import."""
 
 import ast
 import importlib
@@ -20,7 +20,7 @@ def imported(source):
 def used():
     """All names of the package that pages and examples show, and those of its top."""
     docs = ROOT / "docs"
-    pages = [ROOT / "README.md", *docs.glob("*.md"), *(docs / "bridges").glob("*.md")]
+    pages = [ROOT / "README.md", *docs.rglob("*.md")]
     programs = [
         code
         for page in pages
@@ -37,9 +37,13 @@ def listed():
     return {(module, name) for module, names in rows for name in re.findall(r"`(\w+)`", names)}
 
 
-PAGE = ROOT / "docs" / "releases.md"
-BY_HAND = {"bulletuav.adapters.rllib", "bulletuav.adapters.rllib_vector"}
-"""Modules that need Ray"""
+PAGE = ROOT / "docs" / "reference" / "names.md"
+BY_HAND = {
+    "bulletuav.adapters.benchmarl",
+    "bulletuav.adapters.rllib",
+    "bulletuav.adapters.rllib_vector",
+}
+"""Modules that need BenchMARL or Ray"""
 
 
 def test_the_page_lists_what_documentation_and_examples_import():
@@ -47,7 +51,7 @@ def test_the_page_lists_what_documentation_and_examples_import():
     for module, name in sorted(used()):
         names.setdefault(module, []).append(f"`{name}`")
     table = "\n".join(f"| `{module}` | {', '.join(own)} |" for module, own in names.items())
-    assert listed() == used(), f"the table in {PAGE.name} should be:\n{table}"
+    assert used() <= listed(), f"the table in {PAGE.name} should have:\n{table}"
 
 
 def defined(module):
@@ -59,5 +63,7 @@ def defined(module):
 
 def test_public_names_are_there():
     for module, name in listed():
-        there = defined(module) if module in BY_HAND else dir(importlib.import_module(module))
-        assert name in there, (module, name)
+        if module in BY_HAND:
+            assert name in defined(module)
+        elif not hasattr(importlib.import_module(module), name):
+            importlib.import_module(f"{module}.{name}")

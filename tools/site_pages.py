@@ -5,7 +5,7 @@ of those becomes a page of the site below `source/`, so that links lead somewher
 Markdown as it is, a folder as a list of what is in it, anything else as a listing. A
 link is followed from the pages that it leads to only where these are Markdown.
 
-The reference is made of the table of public names in docs/releases.md: a page for each part of the
+The reference is made of the table of public names in docs/project/releases.md: a page for each part of the
 package, with an entry for each name, which mkdocstrings fills from the docstrings.
 """
 
@@ -28,7 +28,7 @@ BUILT = "shipped"
 
 
 def public_names(text: str) -> dict[str, list[str]]:
-    """Read the public names from the text of docs/releases.md, as "module.name" of each part."""
+    """Read the public names from the text of docs/project/releases.md, as "module.name" of each part."""
     parts: dict[str, list[str]] = {}
     for module, names in ROW.findall(text):
         part = (module + ".bulletuav").split(".")[1]
@@ -80,7 +80,7 @@ def show(path: str) -> str:
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
     """Add the reference, and a page for each file outside docs/ that a page leads to."""
-    releases = (ROOT / "docs" / "releases.md").read_text(encoding="utf-8")
+    releases = (ROOT / "docs" / "project" / "releases.md").read_text(encoding="utf-8")
     for part, names in public_names(releases).items():
         entries = "\n\n".join(f"::: {name}" for name in names)
         text = f"# {part}\n\n{entries}\n"

@@ -1,4 +1,4 @@
-"""Write the tables of stages and of states in docs/architecture.md.
+"""Write the tables of stages and of states in docs/explanation/architecture.md.
 
     python tools/stages.py
 
@@ -15,7 +15,7 @@ sys.path.insert(0, str(ROOT))
 from bulletuav.envs.stages import Stage, airspace_stages, decision_stages  # noqa: E402
 from bulletuav.envs.state import AirspaceState, Arrays, State  # noqa: E402
 
-PAGE = ROOT / "docs" / "architecture.md"
+PAGE = ROOT / "docs" / "explanation" / "architecture.md"
 BEGIN, END = "<!-- written by tools/stages.py -->\n", "<!-- end -->\n"
 
 
@@ -24,7 +24,7 @@ def tables(stages: Sequence[Stage], state: type[Arrays]) -> str:
     lines = ["| stage | class | what it does | reads | writes |", "|---|---|---|---|---|"]
     for stage in stages:
         module = type(stage).__module__.rpartition(".")[2]
-        link = f"[{type(stage).__name__}](../bulletuav/envs/stages/{module}.py)"
+        link = f"[{type(stage).__name__}](../../bulletuav/envs/stages/{module}.py)"
         arrays = f"{_names(stage.reads)} | {_names(stage.writes)}"
         lines.append(f"| {stage.name} | {link} | {stage.summary} | {arrays} |")
     lines += ["", "| array | shape | type | meaning |", "|---|---|---|---|"]

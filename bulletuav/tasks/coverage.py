@@ -85,7 +85,7 @@ class Coverage(Task[CoverageConfig]):
 
     Success: 90 % of the squares are covered, at easy 75 %.
 
-    Preset urbanmarl: sizes and rates of UrbanMARL 0.3.1 (docs/service.md).
+    Preset urbanmarl: sizes and rates of UrbanMARL 0.3.1 (docs/explanation/radio_and_edge.md).
     """
 
     name = "coverage"

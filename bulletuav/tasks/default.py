@@ -101,7 +101,7 @@ class Default(Task[DefaultConfig]):
 
     Success: the goal is reached.
 
-    Preset urbanmarl: sizes and rates of UrbanMARL 0.3.1 (docs/service.md).
+    Preset urbanmarl: sizes and rates of UrbanMARL 0.3.1 (docs/explanation/radio_and_edge.md).
     """
 
     name = "default"

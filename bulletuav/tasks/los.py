@@ -47,7 +47,7 @@ class Los(UserService[LosConfig]):
 
     Success: 90 % of the users are seen by at least one drone.
 
-    Preset urbanmarl: sizes and rates of UrbanMARL 0.3.1 (docs/service.md).
+    Preset urbanmarl: sizes and rates of UrbanMARL 0.3.1 (docs/explanation/radio_and_edge.md).
     """
 
     name = "los"

@@ -54,7 +54,7 @@ class Mec(UserService[MecConfig]):
 
     Success: 70 % of the episode's tasks are completed.
 
-    Preset urbanmarl: sizes and rates of UrbanMARL 0.3.1 (docs/service.md).
+    Preset urbanmarl: sizes and rates of UrbanMARL 0.3.1 (docs/explanation/radio_and_edge.md).
     """
 
     name = "mec"

@@ -80,7 +80,7 @@ class MecAdvanced(UserService[MecAdvancedConfig]):
 
     Success: 70 % of the episode's tasks are completed.
 
-    Preset urbanmarl: sizes and rates of UrbanMARL 0.3.1 (docs/service.md).
+    Preset urbanmarl: sizes and rates of UrbanMARL 0.3.1 (docs/explanation/radio_and_edge.md).
     """
 
     name = "mec_advanced"

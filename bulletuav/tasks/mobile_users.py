@@ -49,7 +49,7 @@ class MobileUsers(UserService[MobileUsersConfig]):
 
     Success: 90 % of the users are seen by at least one drone.
 
-    Preset urbanmarl: sizes and rates of UrbanMARL 0.3.1 (docs/service.md).
+    Preset urbanmarl: sizes and rates of UrbanMARL 0.3.1 (docs/explanation/radio_and_edge.md).
     """
 
     name = "mobile_users"

@@ -50,7 +50,7 @@ class Navigation(GoalFlight[NavigationConfig]):
 
     Success: the goal is reached.
 
-    Preset urbanmarl: sizes and rates of UrbanMARL 0.3.1 (docs/service.md).
+    Preset urbanmarl: sizes and rates of UrbanMARL 0.3.1 (docs/explanation/radio_and_edge.md).
     """
 
     name = "navigation"

@@ -20,7 +20,7 @@ def drag(
     -|v| R diag(c_xy, c_xy, c_z) R^T v with c = density / 2 times the drag area. The drag of the
     body also acts with stopped rotors, so that a falling drone reaches a terminal velocity. The
     rotors' drag acts above the centre of mass and pitches the drone against its direction of flight
-    (fitted to flights of Crazyflies, see docs/truth.md).
+    (fitted to flights of Crazyflies, see docs/explanation/truth.md).
 
     Args:
         quaternion: Attitude of the drone, body to world.
@@ -95,7 +95,7 @@ def ground_effect(height: float, row: ParameterRow) -> float:
 
     k is the relative increase at the surface. The reach H is proportional to the propeller's
     radius; from there on the increase, its slope and its curvature are 0. The law is a fit to
-    take-offs of Crazyflies (see docs/truth.md).
+    take-offs of Crazyflies (see docs/explanation/truth.md).
 
     Args:
         height: Height h of the rotor above the surface, m; below the surface the increase stays k.

@@ -13,7 +13,7 @@ VOLTS = np.array([3.27, *(3.69, 3.73, 3.77, 3.80, 3.84, 3.87, 3.95, 4.02, 4.11),
 """Open-circuit voltage, V, of a lithium-polymer cell at charges of 0, 10 % ... 100 % (common)."""
 VOLTAGE_POWER = 0.89
 """Relative change of the rotor speed at a constant command, divided by the relative change of the
-voltage; fitted to Crazyflies, see docs/truth.md.
+voltage; fitted to Crazyflies, see docs/explanation/truth.md.
 """
 
 

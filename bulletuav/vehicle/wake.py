@@ -42,7 +42,7 @@ def downwash(
     the drone that spreads slowly. The torque towards the axis is a^2 F d / s^2, with the arm a of
     the lower
     drone: rotors on the side of the axis are pushed more than the others. Both are fits to pairs of
-    Crazyflies (see docs/truth.md). Other airframes have the same A and b; r scales with their size
+    Crazyflies (see docs/explanation/truth.md). Other airframes have the same A and b; r scales with their size
     (our choice).
 
     Args:

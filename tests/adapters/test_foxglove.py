@@ -238,7 +238,7 @@ def test_flying_for_foxglove_waits_for_a_viewer(turns, tmp_path, monkeypatch, ca
 
     monkeypatch.setattr(foxglove, "CLOSE_TIMEOUT", PATIENCE)
     monkeypatch.setattr("bulletuav.adapters.foxglove.FoxgloveServer.wait", come)
-    page = Path(__file__).parents[2] / "docs" / "export.md"
+    page = Path(__file__).parents[2] / "docs" / "howto" / "export.md"
     (line,) = re.findall(r"bulletuav (fly .*--foxglove.*)", page.read_text())
     line = line.replace("--foxglove", f"--foxglove {FREE}")
     monkeypatch.chdir(tmp_path)

@@ -4,7 +4,7 @@
 
 PettingZoo's names of the games lead to `crossing` here, so that the tutorials make drones. Those of
 CleanRL look through the drones' cameras; those of tianshou take turns.
-See `docs/trainers/others.md`.
+See `docs/howto/trainers/others.md`.
 """
 
 import runpy

@@ -71,7 +71,7 @@ def test_a_flight_becomes_mcap(copied, capsys):
 
 def test_the_commands_of_the_page_run(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    page = Path(__file__).parents[2] / "docs" / "export.md"
+    page = Path(__file__).parents[2] / "docs" / "howto" / "export.md"
     commands, _, of_policies = re.findall(r"```bash\n(.*?)```", page.read_text(), re.DOTALL)
     short = ["--horizon", "5", "--animation", "none", "--dynamics", "point_mass"]
     fly, mcap, rerun = (shlex.split(line, comments=True)[1:] for line in commands.splitlines())

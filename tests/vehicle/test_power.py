@@ -299,7 +299,7 @@ def test_rotors_that_speed_up_take_the_mean_of_both_ends():
 def test_at_ten_metres_a_second_the_formula_gains_by_inflow_and_the_rotors_do_not():
     """The simulated rotors' torque knows nothing of the air that comes from ahead.
 
-    docs/service.md tells why.
+    docs/explanation/radio_and_edge.md tells why.
     """
     power = {}
     for energy in ("zeng", "actuator"):

@@ -30,7 +30,7 @@ UAVCONFLICT: dict[str, Any] = {
 }
 """Sizes, observation and reward constants of UAVConflictGym.
 
-docs/conflict.md lists the differences of the tasks from it, and the reasons.
+docs/explanation/conflict.md lists the differences of the tasks from it, and the reasons.
 """
 
 URBANMARL: dict[str, Any] = {
@@ -47,7 +47,7 @@ URBANMARL: dict[str, Any] = {
 }
 """Sizes and rates shared by all scenarios of UrbanMARL 0.3.1.
 
-docs/service.md lists the differences of the tasks from them, and the reasons.
+docs/explanation/radio_and_edge.md lists the differences of the tasks from them, and the reasons.
 """
 _UNPAID = ("progress", "conflict", "warning", "energy", "time", "out_of_bounds")
 _FLIGHT = {**dict.fromkeys(_UNPAID, 0.0), "goal": 5.0}
