@@ -1,13 +1,15 @@
-"""Draw each task: a flight of it in three dimensions, and a page with all of them.
+"""Draw each task: a flight of it in three dimensions.
 
     python benchmarks/gallery.py --out docs/results/gallery
 
-Each task is flown by its own baseline, with seed 0. Writes TASK.png for each, and gallery.md.
+Each task is flown by its own baseline, with seed 0. Writes TASK.png for each.
 """
 
 import argparse
 import itertools
+from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from PIL import Image
@@ -16,7 +18,7 @@ import bulletuav
 from bulletuav.analysis.recorded import Recording
 from bulletuav.analysis.recording import fly_episode
 from bulletuav.commands.progress import show_progress
-from bulletuav.files import replace_file, whole_file
+from bulletuav.files import whole_file
 from bulletuav.policies import find_policy
 from bulletuav.report.film import Film
 from bulletuav.tasks import find_task
@@ -33,28 +35,25 @@ OPTIONS: dict[str, dict[str, Any]] = {
 }
 """Options of tasks beside `COMMON`"""
 COMMON = {"dynamics": "point_mass"}
-HEAD = """# Gallery
-
-After this page you know what each task looks like. Each picture shows a flight of its task's own
-baseline, with seed 0 and the tracks of all drones; what is pale is behind something. Fly one, and
-turn it about in your browser:
-
-```sh
-bulletuav fly TASK --html --out flight
-```
-
-`bulletuav tasks TASK` tells the task's MDP and options.
-"""
+FRONT_TASK = "lidar_navigation"
+FRONT = {"num_drones": 8, "area": 300.0, "num_layouts": 1}
+"""Options of the flight through a city on the front page of the documentation"""
 
 
-def fly(task: str) -> tuple[Recording, str]:
-    """Fly a task, and give the flight and its title."""
+def fly(task: str, more: Mapping[str, Any] = MappingProxyType({})) -> tuple[Recording, str]:
+    """Fly a task by its baseline, and return the flight and its title."""
     policy = find_policy(find_task(task).baseline, task)
-    options = policy.complete(task, {**COMMON, **OPTIONS.get(task, {})})
+    options = policy.complete(task, {**COMMON, **OPTIONS.get(task, {}), **more})
     aviary = bulletuav.Aviary(task, **options)
     recording = fly_episode(aviary, policy(aviary), 0)
     aviary.close()
     return recording, f"{task}, {policy.name}"
+
+
+def fly_front() -> tuple[Recording, str]:
+    """Fly the flight of the front page, and return it and its title."""
+    recording, _ = fly(FRONT_TASK, FRONT)
+    return recording, "Eight drones fly through a city"
 
 
 def draw(task: str, path: Path) -> None:
@@ -65,12 +64,6 @@ def draw(task: str, path: Path) -> None:
     with whole_file(path) as part:
         Image.fromarray(picture).quantize(COLOURS).save(part, "PNG", optimize=True)
     film.close()
-
-
-def section(task: str) -> str:
-    """Write the part of the page about a task."""
-    summary = (find_task(task).__doc__ or "").split("\n", 1)[0]
-    return f"\n## {task}\n\n{summary}\n\n![A flight of {task}]({task}.png)\n"
 
 
 def main() -> None:
@@ -85,8 +78,6 @@ def main() -> None:
         for task in arguments.tasks:
             draw(task, arguments.out / f"{task}.png")
             report(next(done))
-    text = HEAD + "".join(map(section, bulletuav.list_tasks()))
-    replace_file(arguments.out / "gallery.md", text)
 
 
 if __name__ == "__main__":

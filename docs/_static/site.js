@@ -1,0 +1,12 @@
+// Embedded replays follow the theme of the page.
+const theme = () => {
+  const chosen = document.body.dataset.theme;
+  if (chosen === "dark" || chosen === "light") return chosen;
+  return matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light";
+};
+const paint = () => {
+  for (const frame of document.querySelectorAll("iframe.replay"))
+    frame.contentWindow.postMessage({ theme: theme() }, "*");
+};
+new MutationObserver(paint).observe(document.body, { attributeFilter: ["data-theme"] });
+for (const frame of document.querySelectorAll("iframe.replay")) frame.addEventListener("load", paint);
