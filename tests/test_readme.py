@@ -112,10 +112,15 @@ def test_links_lead_somewhere():
             assert (page.parent / target).exists(), f"{page.name}: {target}"
 
 
-def test_the_runs_of_the_page_on_learning_can_be(tmp_path):
-    page = (ROOT / "docs" / "howto" / "train.md").read_text()
+def test_the_runs_of_the_pages_on_learning_can_be(tmp_path):
     files = []
-    for text in re.findall(r"```yaml\n(.*?)```", page, re.DOTALL):
+    for page in (
+        "howto/train",
+        "howto/tune",
+        "howto/swarms_of_any_size",
+        "benchmarks/learning",
+    ):
+        (text,) = re.findall(r"```yaml\n(.*?)```", (DOCS / f"{page}.md").read_text(), re.DOTALL)
         (tmp_path / "run.yaml").write_text(text)
         kind = Study if "space:" in text else RunConfig
         files.append(kind.read(tmp_path / "run.yaml"))

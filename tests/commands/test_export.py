@@ -69,10 +69,13 @@ def test_a_flight_becomes_mcap(copied, capsys):
         assert told[f"/drone_1/{name}"] == 5
 
 
-def test_the_commands_of_the_page_run(tmp_path, monkeypatch):
+def test_the_commands_of_the_pages_run(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    page = Path(__file__).parents[2] / "docs" / "howto" / "export.md"
-    commands, _, of_policies = re.findall(r"```bash\n(.*?)```", page.read_text(), re.DOTALL)
+    docs = Path(__file__).parents[2] / "docs" / "howto"
+    (commands,), (_, of_policies) = (
+        re.findall(r"```bash\n(.*?)```", (docs / page).read_text(), re.DOTALL)
+        for page in ("export.md", "deploy_a_policy.md")
+    )
     short = ["--horizon", "5", "--animation", "none", "--dynamics", "point_mass"]
     fly, mcap, rerun = (shlex.split(line, comments=True)[1:] for line in commands.splitlines())
     main(fly + short)
