@@ -9,6 +9,7 @@ import colorsys
 import html
 import json
 import re
+import zlib
 from pathlib import Path
 from typing import Any
 
@@ -138,17 +139,16 @@ def render_page(title: str, payload: str = "") -> str:
         title: Title of the page.
         payload: Text of a `Payload`; without it the page connects to its server's live feed.
     """
-    # Embed all scripts as data URLs
-    scripts = {}
-    for script in sorted(WEB.glob("*.js")):
-        code = RELATIVE_IMPORT.sub(r'\1"', script.read_text(encoding="utf-8"))
-        data = base64.b64encode(code.encode()).decode()
-        scripts[script.name] = f"data:text/javascript;base64,{data}"
+    scripts = {
+        script.name: RELATIVE_IMPORT.sub(r'\1"', script.read_text(encoding="utf-8"))
+        for script in sorted(WEB.glob("*.js"))
+    }
+    compressed = zlib.compress(json.dumps(scripts).encode(), 9)
     # The content policy of a page with a payload forbids all connections
     parts = {
         "title": html.escape(title),
         "style": (WEB / "style.css").read_text(encoding="utf-8"),
-        "scripts": json.dumps({"imports": scripts}),
+        "scripts": base64.b64encode(compressed).decode(),
         "license": (WEB / "three.LICENSE").read_text(encoding="utf-8"),
         "payload": payload,
         "connect": "" if payload else "connect-src 'self';",

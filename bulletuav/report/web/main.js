@@ -45,6 +45,7 @@ class Player {
       playing: false,
       atEnd: false, // whether to stay at the end of a growing episode
       following: false,
+      loops: false, // whether to begin again at the end
       reach: 5,
       trueSize: false,
       hidden: new Set(), // names of layers
@@ -279,7 +280,10 @@ class Player {
     if (this.atEnd) this.approachEnd(seconds);
     else if (this.playing) {
       this.seek(this.episode.time + this.speed * seconds);
-      if (this.episode.time >= this.episode.duration && !this.atEnd) this.toggle();
+      if (this.episode.time >= this.episode.duration && !this.atEnd) {
+        if (this.loops) this.seek(this.episode.start);
+        else this.toggle();
+      }
     }
     if (this.plotsAreOld && now - this.plotted > PLOT_EVERY) {
       [this.plotsAreOld, this.plotted] = [false, now];
@@ -340,14 +344,24 @@ class Player {
   }
 }
 
-/** Apply the options in the URL fragment: time, drone, theme, follow, play. */
+/**
+ * Apply the options in the URL fragment: time, drone, theme, follow, play, loop, plots=off.
+ *
+ * A page that embeds this one can also set the theme later, by the message {theme: "dark"}.
+ */
 function applyFragment(player) {
   const options = new URLSearchParams(location.hash.slice(1));
   if (options.has("theme")) player.setTheme(options.get("theme") === "dark" ? "dark" : "light");
   if (options.has("drone")) player.choose(Number(options.get("drone")) || 0);
   if (options.has("time")) player.seek(Number(options.get("time")) || 0);
   if (options.has("follow")) player.follow(true);
-  if (options.has("play")) player.toggle();
+  if (options.get("plots") === "off") player.showPlots();
+  player.loops = options.has("loop");
+  const stays = matchMedia("(prefers-reduced-motion: reduce)").matches;
+  if (options.has("play") && !stays) player.toggle();
+  addEventListener("message", ({ data }) => {
+    if (data?.theme === "dark" || data?.theme === "light") player.setTheme(data.theme);
+  });
 }
 
 /** Create the player of the first episode. */
