@@ -58,7 +58,10 @@ def defined(module):
     """Names that a module's source defines, for one that needs what the suite has not."""
     path = ROOT.joinpath(*module.split(".")).with_suffix(".py")
     body = ast.parse(path.read_text()).body
-    return {node.name for node in body if isinstance(node, ast.ClassDef | ast.FunctionDef)}
+    targets = [target for node in body if isinstance(node, ast.Assign) for target in node.targets]
+    return {target.id for target in targets if isinstance(target, ast.Name)} | {
+        node.name for node in body if isinstance(node, ast.ClassDef | ast.FunctionDef)
+    }
 
 
 def test_public_names_are_there():
