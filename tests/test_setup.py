@@ -49,6 +49,24 @@ def test_the_page_on_citing_has_the_data_of_the_citation_file():
     }
 
 
+def test_the_page_of_programs_names_the_versions_of_the_suite():
+    """Those that are pinned; other programs are run in environments of their own."""
+    page = (ROOT / "docs" / "project" / "used_with.md").read_text()
+    rllib = pins(ROOT / "constraints" / "rllib.txt")
+    suite = pins(ROOT / "constraints.txt") | {"ray": rllib["ray"]}
+    names = {"stable-baselines3": "stable_baselines3", "TorchRL": "torchrl", "Minari": "minari"}
+    names |= {"Optuna": "optuna", "SuperSuit": "supersuit", "pymavlink": "pymavlink"}
+    for program, package in names.items():
+        (row,) = re.findall(rf"^\| \[{program}\]\(.*?\) \| ([\d.]+)", page, re.MULTILINE)
+        assert row == suite[package], program
+    for package in ("torch", "tensordict", "onnx", "onnxruntime", "ray", "mcap", "rosbags"):
+        assert set(re.findall(rf"\b{package} ([\d.]+\d)", page)) == {suite[package]}
+    for package in ("mlflow-skinny", "foxglove-sdk", "rerun-sdk"):
+        assert re.findall(rf"\b{package} ([\d.]+\d)", page) == [suite[package.replace("-", "_")]]
+    own = pins(ROOT / "constraints" / "benchmarl.txt")
+    assert f"{own['benchmarl']}, torchrl {own['torchrl']}" in page
+
+
 # Addresses, which are placeholders until the project is published
 
 
