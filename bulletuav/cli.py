@@ -52,13 +52,13 @@ EPILOG = """first example:
 
 MENU = f"""bulletuav {__version__}, a drone-swarm gym on PyBullet. Next steps:
 
-  bulletuav tasks                          list the tasks
-  bulletuav fly crossing --policy orca     fly one episode, write it to out/
-  bulletuav replay out                     write a 3-D replay, out/replay.html
-  bulletuav train crossing --out run       train a policy (needs the extra sb3)
-  bulletuav evaluate run                   evaluate the trained policy
-  bulletuav doctor                         print what is installed and missing
-  bulletuav --help                         list all commands
+  bulletuav tasks                                 list the tasks
+  bulletuav fly crossing --policy orca            fly once, write files to out/
+  bulletuav replay out                            write a 3-D replay of it
+  bulletuav train crossing --steps 2e5 --out run  train a policy (extra sb3)
+  bulletuav evaluate run                          evaluate the policy
+  bulletuav doctor                                print what is missing
+  bulletuav --help                                list all commands
 
 Documentation: {DOCUMENTATION}"""
 """Text that `bulletuav` without arguments prints"""
