@@ -20,7 +20,7 @@ from typing import Any, NoReturn
 
 from bulletuav import interrupts
 from bulletuav.commands.parsers.deferred import DeferredHelp
-from bulletuav.version import __version__
+from bulletuav.version import DOCUMENTATION, __version__
 
 COMMANDS = (
     "tasks",
@@ -49,6 +49,19 @@ EPILOG = """first example:
   bulletuav fly crossing --drones 8 --policy straight --seed 0 --out out
 
 `bulletuav COMMAND --help` explains a command."""
+
+MENU = f"""bulletuav {__version__}, a drone-swarm gym on PyBullet. Next steps:
+
+  bulletuav tasks                                 list the tasks
+  bulletuav fly crossing --policy orca            fly once, write files to out/
+  bulletuav replay out                            write a 3-D replay of it
+  bulletuav train crossing --steps 2e5 --out run  train a policy (extra sb3)
+  bulletuav evaluate run                          evaluate the policy
+  bulletuav doctor                                print what is missing
+  bulletuav --help                                list all commands
+
+Documentation: {DOCUMENTATION}"""
+"""Text that `bulletuav` without arguments prints"""
 
 
 class _Formatter(argparse.RawDescriptionHelpFormatter):
@@ -191,10 +204,10 @@ def _run(words: Sequence[str]) -> None:
         sys.path.append("")
     if "_ARGCOMPLETE" in os.environ:
         _complete()
-    parser, commands = _parser(words)
     if not words:
-        parser.print_help()
+        print(MENU)  # without the parsers, which take longer than the rest
         return
+    parser, commands = _parser(words)
     if words[0] in commands:
         _check_known(words[1:], commands[words[0]])
     else:

@@ -33,6 +33,9 @@ BY_HAND = {"benchmarl.md": "tests/clients/benchmarl_client.py"}
 """Pages whose programs need what the suite has not, and what flies the same by hand"""
 GROWING = "write_a_task.md"
 """Page on which each snippet goes on where the one before ended"""
+REFERENCE = DOCS / "reference"
+"""Folder of pages that the build of the site generates, but for these two and its index"""
+WRITTEN = {REFERENCE / f"{name}.md" for name in ("glossary", "names", "index")}
 
 
 def snippets(page):
@@ -66,6 +69,24 @@ def test_commands_of_tutorials(page, tmp_path, monkeypatch):
         program, *words = shlex.split(line.replace("--steps 2e5", "--steps 2e3"))
         assert program == "bulletuav"
         main(words)
+
+
+def test_the_first_flight_prints_the_table_of_its_page(tmp_path, monkeypatch, capsys):
+    page = (DOCS / "start" / "first_flight.md").read_text()
+    command = re.findall(r"```bash\nbulletuav (fly .*)", page)[0]
+    printed = re.search(r"```text\n(.*?)```", page, re.DOTALL).group(1)
+    monkeypatch.chdir(tmp_path)
+    main(shlex.split(command))
+    words = capsys.readouterr().out.replace("│", " ").split()
+    rows = [line.split() for line in printed.splitlines() if line.startswith(" drone_")]
+    assert len(rows) == 4
+    for row in rows:
+        start = words.index(row[0])
+        assert words[start : start + len(row)] == row
+
+
+def test_the_readme_is_one_page():
+    assert len((ROOT / "README.md").read_text().splitlines()) <= 120
 
 
 def test_the_gallery_has_every_task():

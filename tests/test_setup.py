@@ -9,7 +9,7 @@ import pytest
 import yaml
 from packaging.requirements import Requirement
 
-from bulletuav.version import __version__
+from bulletuav.version import DOCUMENTATION, INDEX_NAME, REPOSITORY, __version__
 
 ROOT = Path(__file__).parents[1]
 OTHER = {"torchrl": set(), "benchmarl": {"torchrl", "tensordict"}}
@@ -32,6 +32,83 @@ def test_extras_are_pinned_to_the_versions_of_the_suite_where_they_can_be(extra)
 def test_the_citation_and_the_recipe_are_of_this_version():
     assert f"\nversion: {__version__}\n" in (ROOT / "CITATION.cff").read_text()
     assert recipe()["context"]["version"] == __version__
+
+
+def test_the_page_on_citing_has_the_data_of_the_citation_file():
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text())
+    page = (ROOT / "docs" / "project" / "cite.md").read_text()
+    (entry,) = re.findall(r"```bibtex\n@software\{(.*?)\n\}\n```", page, re.DOTALL)
+    fields = dict(re.findall(r"^  (\w+) = \{(.*)\},$", entry, re.MULTILINE))
+    assert fields == {
+        "title": citation["title"],
+        "abstract": citation["abstract"],
+        "author": "{" + " and ".join(author["name"] for author in citation["authors"]) + "}",
+        "version": citation["version"],
+        "license": citation["license"],
+        "url": citation["repository-code"],
+    }
+
+
+def test_the_page_of_programs_names_the_versions_of_the_suite():
+    """Those that are pinned; other programs are run in environments of their own."""
+    page = (ROOT / "docs" / "project" / "used_with.md").read_text()
+    rllib = pins(ROOT / "constraints" / "rllib.txt")
+    suite = pins(ROOT / "constraints.txt") | {"ray": rllib["ray"]}
+    names = {"stable-baselines3": "stable_baselines3", "TorchRL": "torchrl", "Minari": "minari"}
+    names |= {"Optuna": "optuna", "SuperSuit": "supersuit", "pymavlink": "pymavlink"}
+    for program, package in names.items():
+        (row,) = re.findall(rf"^\| \[{program}\]\(.*?\) \| ([\d.]+)", page, re.MULTILINE)
+        assert row == suite[package], program
+    for package in ("torch", "tensordict", "onnx", "onnxruntime", "ray", "mcap", "rosbags"):
+        assert set(re.findall(rf"\b{package} ([\d.]+\d)", page)) == {suite[package]}
+    for package in ("mlflow-skinny", "foxglove-sdk", "rerun-sdk"):
+        assert re.findall(rf"\b{package} ([\d.]+\d)", page) == [suite[package.replace("-", "_")]]
+    own = pins(ROOT / "constraints" / "benchmarl.txt")
+    assert f"{own['benchmarl']}, torchrl {own['torchrl']}" in page
+
+
+# Addresses, which are placeholders until the project is published
+
+
+TEXTS = {".cff", ".cfg", ".md", ".py", ".toml", ".txt", ".yaml", ".yml"}
+"""Endings of files that may name the project's addresses"""
+
+
+def texts():
+    """Text of each file of the repository that may name an address, by its path."""
+    folders = ("benchmarks", "bulletuav", "conda", "docs", "examples", "tests", "tools", ".github")
+    paths = [path for path in ROOT.iterdir() if path.is_file()]
+    paths += [path for folder in folders for path in (ROOT / folder).rglob("*")]
+    found = [path for path in paths if path.suffix in TEXTS and path != Path(__file__)]
+    return {path.relative_to(ROOT).as_posix(): path.read_text() for path in found}
+
+
+def test_the_repository_has_one_address():
+    """Another host, owner or name would be another spelling of the placeholder."""
+    places = r"https?://[\w.-]+/[\w.~-]+/bullet-?_?uav\b|git@[\w.]+:[\w-]+/bullet-?_?uav\b|\bOWNER/"
+    wrong = {
+        (name, address)
+        for name, text in texts().items()
+        for address in re.findall(places, text.replace(REPOSITORY, ""), re.IGNORECASE)
+    }
+    assert not wrong
+    assert DOCUMENTATION.startswith(f"{REPOSITORY}/")
+    urls = project()["urls"]
+    assert urls["Repository"] == REPOSITORY
+    assert urls["Documentation"] == DOCUMENTATION
+    assert all(url == REPOSITORY or url.startswith(f"{REPOSITORY}/") for url in urls.values())
+
+
+def test_the_package_has_one_name():
+    """What pip, uv and pipx are asked for, but files and folders, is `INDEX_NAME`."""
+    assert project()["name"] == INDEX_NAME
+    spellings = {
+        spelling
+        for text in texts().values()
+        for line in re.findall(r"\b(?:install|add) (.*)", text)
+        for spelling in re.findall(r"(?<![\w./*-])(py)?(bullet[-_. ]?uav)(?![\w./*-])", line, re.I)
+    }
+    assert {"".join(spelling) for spelling in spellings} == {INDEX_NAME}
 
 
 # Metadata in one place, and what repeats some of it for other tools

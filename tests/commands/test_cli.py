@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 import bulletuav
+from bulletuav import cli
 from bulletuav.analysis.benchmark import ENGINE_CASES
 from bulletuav.cli import COMMANDS, main
 from bulletuav.commands.progress import EXPECTED_FUNCTIONS, show_progress
@@ -22,6 +23,7 @@ from bulletuav.engine.c_extension import Extension
 from bulletuav.envs.stages import decision_stages
 from bulletuav.report import doctor
 from bulletuav.tasks import find_task
+from bulletuav.version import DOCUMENTATION
 
 MAIN_JOB = ["fly", "crossing", "--drones", "8", "--policy", "straight", "--seed", "0"]
 FILES = {"trajectory.npz", "trajectory.csv", "run.json", "tracks.png", "flight.gif"}
@@ -491,17 +493,42 @@ def test_descriptions_in_the_help_are_wrapped(name, capsys, monkeypatch):
     assert max(map(len, before_examples.splitlines())) <= 80
 
 
-def test_without_a_command_the_help_is_printed(capsys):
-    main([])
+def test_the_help_lists_all_commands_and_a_first_example(capsys):
+    with pytest.raises(SystemExit) as end:
+        main(["--help"])
+    assert not end.value.code
     out, err = capsys.readouterr()
     assert err == ""
     for command in COMMANDS:
         assert f"\n    {command}" in out
     assert "bulletuav fly crossing --drones 8" in out
     assert len(out.splitlines()) < 50
-    with pytest.raises(SystemExit):
-        main(["--help"])
-    assert capsys.readouterr().out == out
+
+
+def test_without_arguments_a_menu_is_printed(capsys):
+    """Every command in the menu is one that the command line accepts."""
+    main([])
+    out, err = capsys.readouterr()
+    assert err == ""
+    lines = out.splitlines()
+    assert 8 <= len(lines) <= 12
+    assert max(map(len, lines)) <= 80
+    assert lines[-1] == f"Documentation: {DOCUMENTATION}"
+    offered = [re.split(r"  +", line.strip()) for line in lines if line.startswith("  bulletuav ")]
+    for example, _ in offered:
+        _, *words = example.split()
+        if words != ["--help"]:
+            parser, _ = cli._parser(words)
+            assert parser.parse_args(words).command == words[0]
+    steps = [example.split()[1] for example, _ in offered]
+    assert steps == ["tasks", "fly", "replay", "train", "evaluate", "doctor", "--help"]
+
+
+def test_the_menu_imports_no_parser():
+    program = "import sys; from bulletuav.cli import main; main([]); print(*sys.modules)"
+    run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert "bulletuav.commands.parsers.fly" not in run.stdout.splitlines()[-1].split()
+    assert run.stdout.startswith(cli.MENU)
 
 
 def test_an_interrupt_ends_quietly(monkeypatch):
