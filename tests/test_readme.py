@@ -35,7 +35,6 @@ GROWING = "write_a_task.md"
 """Page on which each snippet goes on where the one before ended"""
 REFERENCE = DOCS / "reference"
 """Folder of pages that the build of the site generates, but for these two and its index"""
-WRITTEN = {REFERENCE / f"{name}.md" for name in ("glossary", "names", "index")}
 
 
 def snippets(page):
