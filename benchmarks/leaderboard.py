@@ -1,4 +1,6 @@
-"""Train the rows of the leaderboard, fly them, and write its tables: see docs/benchmarks/leaderboard.md.
+"""Train the rows of the leaderboard, fly them and write its tables.
+
+See docs/benchmarks/leaderboard.md.
 
     python benchmarks/leaderboard.py
     python benchmarks/leaderboard.py --rows crossing-ppo-0 crossing-orca_observed --out again

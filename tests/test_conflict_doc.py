@@ -1,4 +1,4 @@
-"""Tables of docs/explanation/conflict.md: they are what their commands flew, and fly the same again."""
+"""Tables of docs/explanation/conflict.md: their commands flew them, and fly the same again."""
 
 import csv
 import re

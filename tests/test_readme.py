@@ -23,7 +23,7 @@ PAGES = [
     *sorted(
         page
         for page in DOCS.rglob("*.md")
-        if page.relative_to(DOCS).parts[0] not in ("results", "lab")
+        if page.relative_to(DOCS).parts[0] not in ("results", "lab", "reference")
     ),
 ]
 TUTORIALS = [
@@ -33,8 +33,6 @@ BY_HAND = {"benchmarl.md": "tests/clients/benchmarl_client.py"}
 """Pages whose programs need what the suite has not, and what flies the same by hand"""
 GROWING = "write_a_task.md"
 """Page on which each snippet goes on where the one before ended"""
-REFERENCE = DOCS / "reference"
-"""Folder of pages that the build of the site generates, but for these two and its index"""
 
 
 def snippets(page):
@@ -90,9 +88,8 @@ def test_the_readme_is_one_page():
 
 def test_the_gallery_has_every_task():
     folder = ROOT / "docs" / "results" / "gallery"
-    headings = re.findall(r"^## (.*)$", (folder / "gallery.md").read_text(), re.MULTILINE)
     pictures = sorted(path.stem for path in folder.glob("*.png"))
-    assert headings == pictures == bulletuav.list_tasks()
+    assert pictures == bulletuav.list_tasks()
     assert sum(path.stat().st_size for path in folder.iterdir()) < 1e6
 
 

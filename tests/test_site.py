@@ -142,7 +142,7 @@ def test_search_and_replays_work_from_a_folder(site):
 
 
 def test_the_navigation_has_each_page(site, pages):
-    """A page that `_toc.yml` does not reach is a warning; here: the front page lists the sections."""
+    """The front page lists the sections; a page that `_toc.yml` does not reach is a warning."""
     links = {urlsplit(link).path for link in pages[site / "index.html"].links}
     for name in (
         "start/install.html",

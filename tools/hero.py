@@ -23,26 +23,27 @@ import gallery  # noqa: E402
 from bulletuav.report import replay  # noqa: E402
 
 SIZE = (840, 420)
-FRAMES = 72
+FRAMES = 60
 INTERVAL = 0.2
 """Simulated time between frames, s"""
 DURATION = 90
 """Duration of a frame, ms"""
 TURN = 0.35
 """Angle by which the camera turns during the film, rad"""
-PREPARE = """
-for (const part of document.querySelectorAll("header, aside, footer, #tag")) part.style.display = "none";
+PREPARE = f"""
 document.body.classList.add("plain");
-replay.resize();
+const parts = document.querySelectorAll("header, aside, footer, #tag");
+for (const part of parts) part.style.opacity = 0;
+replay.view.resize({SIZE[0]}, {SIZE[1]}, 0, 0);
 replay.whole();
-replay.view.zoom(0.62);
+replay.view.zoom(0.55);
 replay.set("reach", 4);
 """
 
 
 def film(page: chromium.Page, theme: str, start: float) -> list[Image.Image]:
     """Return the frames of the replay in one theme."""
-    page.tell(f"{PREPARE} replay.setTheme('{theme}'); replay.view.turn({-TURN / 2}, -0.12)")
+    page.tell(f"{PREPARE} replay.setTheme('{theme}'); replay.view.turn({-TURN / 2}, 0.06)")
     frames = []
     for k in range(FRAMES):
         page.tell(f"replay.seek({start + INTERVAL * k}); replay.view.turn({TURN / FRAMES}, 0)")
@@ -72,7 +73,7 @@ def main() -> None:
                 append_images=others,
                 duration=DURATION,
                 loop=0,
-                quality=55,
+                quality=45,
                 method=6,
             )
             print(f"wrote {out / f'hero_{theme}.webp'}")

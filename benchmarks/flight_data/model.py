@@ -15,7 +15,8 @@ ROTOR_DRAG = (AIRFRAME.drag_xy, AIRFRAME.drag_xy, AIRFRAME.drag_z)
 def rotor_speed(pwm: np.ndarray, volts: np.ndarray) -> np.ndarray:
     """Return commanded rotor speeds.
 
-    Measured maps of three sources agree, see docs/explanation/truth.md. The package's battery is this line
+    Measured maps of three sources agree, see docs/explanation/truth.md. The package's battery is
+    this line
     about hover: 4670.5 rpm and more at its PWM map, at 3.57 V.
 
     Args:

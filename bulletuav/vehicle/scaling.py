@@ -14,7 +14,8 @@ GROUND_EFFECT_GAIN = 0.27
 GROUND_EFFECT_REACH = 6.2
 """Height in propeller radii above which there is no ground effect (fit: 0.143 m, Crazyflie)."""
 WAKE_SHARE = 0.32
-"""Force of the wake on a drone just below, as a fraction of the thrust (fit, see docs/explanation/truth.md)."""
+"""Force of the wake on a drone just below, as a fraction of the thrust (fit, see
+docs/explanation/truth.md)."""
 WAKE_SPREAD = 0.1
 """Growth of the wake's width per distance below (fit)."""
 WAKE_RADIUS = 1.0

@@ -42,8 +42,8 @@ def downwash(
     the drone that spreads slowly. The torque towards the axis is a^2 F d / s^2, with the arm a of
     the lower
     drone: rotors on the side of the axis are pushed more than the others. Both are fits to pairs of
-    Crazyflies (see docs/explanation/truth.md). Other airframes have the same A and b; r scales with their size
-    (our choice).
+    Crazyflies (see docs/explanation/truth.md). Other airframes have the same A and b; r scales with
+    their size (our choice).
 
     Args:
         horizontal_squared: Squared horizontal distance d from the upper drone, m^2.

@@ -10,9 +10,9 @@ from pathlib import Path
 
 from sphinx.application import Sphinx
 
+from bulletuav.version import REPOSITORY
+
 ROOT = Path(__file__).parents[2]
-REPOSITORY = "https://github.com/OWNER/bulletuav"
-"""Address of the repository; a placeholder until the project is published"""
 LINK = re.compile(r"(?<=\]\()(?!\w+:|#)([^)#\s]+)(#[^)\s]*)?(?=\))")
 
 

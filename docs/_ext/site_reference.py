@@ -141,7 +141,12 @@ def _read(path: Path) -> list[dict[str, str]]:
 def tasks_index() -> str:
     """Write the list of tasks."""
     rows = (
-        (f"[`{name}`]({name}.md)", summary(task), f"`{task.baseline}`")
+        (
+            f"[![A flight of {name}](../../results/gallery/{name}.png)]({name}.md)",
+            f"[`{name}`]({name}.md)",
+            summary(task),
+            f"`{task.baseline}`",
+        )
         for name in bulletuav.list_tasks()
         for task in (find_task(name),)
     )
@@ -149,15 +154,18 @@ def tasks_index() -> str:
         "# Tasks\n\nEach page has the MDP, the difficulties, the options and a replay of the task. "
         "`bulletuav tasks TASK` prints the same in a terminal.\n\n"
     )
-    return text + rows_table(("task", "summary", "baseline policy"), rows)
+    return text + rows_table(("flight", "task", "summary", "baseline policy"), rows)
 
 
 def options_page() -> str:
     """Write the page of the options that all environments have."""
     texts = description.option_texts(EnvOptions)
     rows = (
-        (f"`{field.name}`", "" if field.default is dataclasses.MISSING else f"`{field.default!r}`")
-        + (texts.get(field.name, ""),)
+        (
+            f"`{field.name}`",
+            "" if field.default is dataclasses.MISSING else f"`{field.default!r}`",
+            texts.get(field.name, ""),
+        )
         for field in dataclasses.fields(EnvOptions)
     )
     return (
@@ -317,7 +325,8 @@ KINDS = {
     "sensor": ("Sensors", "The options `observation` and `sensors` take these names."),
     "dynamics": (
         "Dynamics",
-        "The option `dynamics` takes these names. [What each of them models](../explanation/dynamics.md).",
+        "The option `dynamics` takes these names. "
+        "[What each of them models](../explanation/dynamics.md).",
     ),
     "action": ("Actions", "The option `action` takes these names."),
     "policy": ("Policies", "The option `--policy` of the command line takes these names."),

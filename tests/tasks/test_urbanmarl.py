@@ -1,4 +1,4 @@
-"""The presets named after UrbanMARL: sizes, spaces and formulas as docs/explanation/radio_and_edge.md tells them."""
+"""The presets named after UrbanMARL: sizes, spaces and formulas of docs/explanation/radio_and_edge.md."""
 
 import math
 
@@ -19,7 +19,7 @@ OBSERVED = {
     "mec": 8,
     "mec_advanced": 22,
 }
-"""Numbers of an observation: positions 3, charge 1; see docs/explanation/radio_and_edge.md for the rest"""
+"""Numbers of an observation: positions 3, charge 1; the rest: docs/explanation/radio_and_edge.md"""
 TWO = {"area": 250.0, "num_layouts": 2}
 USERS = {"los": 50, "mobile_users": 50, "mec": 50, "mec_advanced": 10}
 TOP = {"lidar_navigation": 120, "mec_advanced": 120}
