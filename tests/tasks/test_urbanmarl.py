@@ -1,4 +1,7 @@
-"""The presets named after UrbanMARL: sizes, spaces and formulas of docs/explanation/radio_and_edge.md."""
+"""The presets named after UrbanMARL: sizes, spaces and formulas.
+
+Their source: docs/explanation/radio_and_edge.md.
+"""
 
 import math
 
