@@ -155,7 +155,7 @@ def read_version(source: Path) -> str:
 
 def read_notes(changelog: str, version: str) -> str:
     """Return the section of a version in a changelog, without its heading."""
-    section = rf"^## {re.escape(version)}(?: .*)?\n(.*?)(?=^## |\Z)"
+    section = rf"^## {re.escape(version)}(?: [^\n]*)?\n(.*?)(?=^## |\Z)"
     found = re.search(section, changelog, re.MULTILINE | re.DOTALL)
     if found is None:
         raise SystemExit(f"CHANGELOG.md has no section of version {version}")
