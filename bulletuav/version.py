@@ -1,6 +1,6 @@
 """Version of the package, its constants, and its addresses."""
 
-__version__ = "0.2.0.dev0"
+__version__ = "0.9.0"
 CONSTANTS = 2
 """Number of the forces, airframes and rewards: another one means that policies learned in others"""
 

@@ -109,4 +109,4 @@ def test_a_row_of_the_policies_flies_the_same_again(task, policy):
 def test_no_table_is_of_a_former_version():
     pages = [DOCS / "explanation" / "conflict.md", *(DOCS / "results").rglob("*.md")]
     for page in pages:
-        assert not re.search(r"version 0\.1\b", page.read_text()), page
+        assert not re.search(r"version 0\.[0-8]\b", page.read_text()), page

@@ -7,7 +7,10 @@ from pathlib import Path
 
 import pytest
 import yaml
+from packaging.markers import Marker
 from packaging.requirements import Requirement
+from packaging.tags import compatible_tags, cpython_tags
+from packaging.utils import parse_wheel_filename
 
 from bulletuav.version import DOCUMENTATION, INDEX_NAME, REPOSITORY, __version__
 
@@ -29,9 +32,18 @@ def test_extras_are_pinned_to_the_versions_of_the_suite_where_they_can_be(extra)
     assert {name for name in own.keys() & suite.keys() if own[name] != suite[name]} == OTHER[extra]
 
 
-def test_the_citation_and_the_recipe_are_of_this_version():
-    assert f"\nversion: {__version__}\n" in (ROOT / "CITATION.cff").read_text()
-    assert recipe()["context"]["version"] == __version__
+def test_the_citation_the_recipe_and_the_changelog_are_of_this_version():
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text())
+    assert citation["version"] == recipe()["context"]["version"] == __version__
+    headings = re.findall(r"^## (.*)$", (ROOT / "CHANGELOG.md").read_text(), re.MULTILINE)
+    assert headings[:2] == ["Unreleased", f"{__version__} - {citation['date-released']}"]
+
+
+def test_all_packages_of_an_installation_without_extras_are_pinned(locked):
+    """The list of parts of a release, and its audit, are made of the pinned versions."""
+    found = {package["name"] for package in needed(locked, "3.11.9", extra=None)}
+    assert len(found) > 20
+    assert found <= {name.replace("_", "-") for name in pins(ROOT / "constraints.txt")}
 
 
 def test_the_page_on_citing_has_the_data_of_the_citation_file():
@@ -200,6 +212,60 @@ def test_the_lock_file_has_the_versions_of_the_suite(locked):
     }
     assert not differing, "python tools/lock.py writes it again"
     assert len(suite.keys() & {name.replace("-", "_") for name in found}) > 60
+
+
+def needed(locked, python, extra):
+    """Packages of uv.lock that an installation on Linux (x86-64) has, with an extra or None."""
+    minor = python.rpartition(".")[0]
+    environment = {
+        "python_full_version": python,
+        "python_version": minor,
+        "sys_platform": "linux",
+        "platform_system": "Linux",
+        "platform_machine": "x86_64",
+        "platform_python_implementation": "CPython",
+        "implementation_name": "cpython",
+        "os_name": "posix",
+        "extra": f"extra-9-bulletuav-{extra}" if extra else "",
+    }
+    (own,) = locked["bulletuav"]
+    todo = [*own["dependencies"], *own["optional-dependencies"].get(extra, [])]
+    found = {}
+    while todo:
+        wanted = todo.pop()
+        if not Marker(wanted.get("marker", "python_version > '3'")).evaluate(environment):
+            continue
+        versions = locked[wanted["name"]]
+        version = wanted.get("version", versions[0]["version"])
+        (package,) = (one for one in versions if one["version"] == version)
+        extras = wanted.get("extra", [])
+        for name in ("", *extras):
+            if (wanted["name"], name) not in found:
+                found[wanted["name"], name] = package
+                optional = package.get("optional-dependencies", {})
+                todo += optional.get(name, []) if name else package.get("dependencies", [])
+    return [package for (_, extra), package in found.items() if not extra]
+
+
+@pytest.mark.parametrize("minor", [11, 12, 13, 14])
+def test_the_suite_installs_from_wheels_on_each_python(locked, minor):
+    """So that no compiler is needed."""
+    platforms = [f"manylinux_2_{k}_x86_64" for k in range(5, 29)]
+    platforms += [f"manylinux{year}_x86_64" for year in ("1", "2010", "2014")]
+    version = (3, minor)
+    tags = {*cpython_tags(version, platforms=platforms)}
+    tags |= {*compatible_tags(version, f"cp3{minor}", platforms)}
+    packages = needed(locked, f"3.{minor}.9", "test")
+    without = {
+        package["name"]
+        for package in packages
+        if not any(
+            parse_wheel_filename(one["url"].rpartition("/")[2])[3] & tags
+            for one in package.get("wheels", [])
+        )
+    }
+    assert len(packages) > 150
+    assert not without
 
 
 def test_the_lock_file_names_the_usual_index_alone(locked):
