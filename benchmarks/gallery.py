@@ -35,15 +35,15 @@ OPTIONS: dict[str, dict[str, Any]] = {
 COMMON = {"dynamics": "point_mass"}
 HEAD = """# Gallery
 
-After this page you know what each task looks like. Each picture shows a flight of its task's own
-baseline, with seed 0 and the tracks of all drones; what is pale is behind something. Fly one, and
-turn it about in your browser:
+Each picture shows a flight of the task's baseline with seed 0, and the tracks of all drones. Pale
+lines are occluded by buildings or obstacles. This command flies a task and writes a replay for the
+browser:
 
 ```sh
 bulletuav fly TASK --html --out flight
 ```
 
-`bulletuav tasks TASK` tells the task's MDP and options.
+The [reference](../../reference/tasks/index.md) describes each task.
 """
 
 

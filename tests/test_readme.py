@@ -20,10 +20,14 @@ DOCS = ROOT / "docs"
 PAGES = [
     ROOT / "README.md",
     *sorted(
-        page for page in DOCS.rglob("*.md") if page.relative_to(DOCS).parts[0] not in ("results", "lab")
+        page
+        for page in DOCS.rglob("*.md")
+        if page.relative_to(DOCS).parts[0] not in ("results", "lab")
     ),
 ]
-TUTORIALS = [page for page in PAGES if page.parent.name == "tutorials" or page.stem == "first_flight"]
+TUTORIALS = [
+    page for page in PAGES if page.parent.name == "tutorials" or page.stem == "first_flight"
+]
 BY_HAND = {"benchmarl.md": "tests/clients/benchmarl_client.py"}
 """Pages whose programs need what the suite has not, and what flies the same by hand"""
 GROWING = "write_a_task.md"

@@ -18,11 +18,11 @@ from bulletuav.envs.state import AirspaceState, Arrays, State  # noqa: E402
 PAGE = ROOT / "docs" / "reference" / "stages.md"
 TEXT = """# Stages of a decision
 
-A [Simulation](../../bulletuav/envs/simulation.py) is an ordered list of stages, which read and write arrays of a
-[State](../../bulletuav/envs/state.py). `print(env.aviary.simulation)` lists them, `Simulation.insert` adds a stage of
-your own, and `bulletuav benchmark --stages TASK` measures each of them. [Architecture](../explanation/architecture.md)
-follows a decision through the package. W is the number of worlds, N the number of drones in each, A the size of an
-action, and S that of a setpoint.
+A [Simulation](../../bulletuav/envs/simulation.py) is an ordered list of stages, which read and
+write arrays of a [State](../../bulletuav/envs/state.py). `print(env.aviary.simulation)` lists them,
+`Simulation.insert` adds a stage of your own, and `bulletuav benchmark --stages TASK` measures each.
+[Architecture](../explanation/architecture.md) follows a decision through the package. W is the
+number of worlds, N the number of drones in each, A the size of an action, and S that of a setpoint.
 
 `python tools/stages.py` writes this page from the code.
 
