@@ -66,12 +66,14 @@ def markdown(rows: list[tuple], arguments: argparse.Namespace) -> str:
     seeds = f"seeds {SEED} to {SEED + arguments.episodes - 1}"
     version = f"bulletuav {bulletuav.__version__}, constants {CONSTANTS}"
     lines = [
-        "Share of episodes in which all evaders were captured, with its 95 % interval / share of "
-        "evaders captured / seconds until capture (30 for those that were not).",
+        f"# Pursuit and evasion: {', '.join(dict.fromkeys(row[0] for row in rows))}",
+        "",
+        "Cells are the fraction of episodes in which all evaders were captured, with its 95 % "
+        "interval / fraction of evaders captured / seconds until capture (30 if not captured).",
         f"`{TASK}`, `{arguments.dynamics}`, {arguments.episodes} episodes of each pair, {seeds}. "
         f"Flown on {datetime.date.today()} by {version}, with",
         "",
-        "```bash",
+        "```sh",
         f"python benchmarks/captures.py --difficulties {arguments.difficulties} --chasers "
         f"{arguments.chasers} --evaders {arguments.evaders} --episodes {arguments.episodes} "
         f"--dynamics {arguments.dynamics} --name {arguments.name} "

@@ -6,7 +6,7 @@
 Of each difficulty: share of drones that finished, gates missed and contacts of a drone, overtakes;
 and of the first drone to start, if it finished, its race time over that of the fastest line. That
 line is found by scipy, see `bulletuav.policies.race_pilot.RacePilot.fastest`. Writes laps.md and
-laps.csv.
+laps.csv. `python tools/results.py fetch racer` restores the trained policy of the second command.
 """
 
 import argparse
@@ -88,12 +88,15 @@ def main() -> None:
     other = "" if arguments.policy == "race_pilot" else f"--policy {arguments.policy} "
     other += f"--seed {arguments.seed} " if arguments.seed else ""
     lines = [
+        "# Race: laps",
+        "",
         f"`{arguments.policy}`, {arguments.episodes} races of each row, seeds {arguments.seed} to "
         f"{arguments.seed + arguments.episodes - 1}, `{arguments.dynamics}`. "
-        "Missed, contacts, overtakes: mean of the drones. Lap: race time of the first drone to "
-        "start over that of the fastest line, mean with 95 % interval, and the worst. Made by",
+        "Missed, contacts, overtakes: means over drones. Lap: race time of the first drone to "
+        "start, divided by that of the fastest line, mean with 95 % interval, and the worst. "
+        "Command:",
         "",
-        "```bash",
+        "```sh",
         f"python benchmarks/laps.py {other}--episodes {arguments.episodes} --dynamics "
         f"{arguments.dynamics} --out docs/results/race",
         "```",

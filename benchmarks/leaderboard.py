@@ -1,14 +1,14 @@
-"""Train the rows of the leaderboard, fly them and write its tables.
-
-See docs/benchmarks/leaderboard.md.
+"""Train rows of the leaderboard, fly them, and write its tables: docs/benchmarks/leaderboard.md.
 
     python benchmarks/leaderboard.py
     python benchmarks/leaderboard.py --rows crossing-ppo-0 crossing-orca_observed --out again
 
 leaderboard.yaml decides all rows. A row is a policy in a task: a baseline, or one that an algorithm
 has learned with a seed. It is made as a whole or not at all. So the same command goes on where it
-was interrupted, and a row whose settings have changed is made anew. `bulletuav verify` flies a row
-again: `bulletuav verify docs/results/leaderboard/rows/crossing-ppo-0`. Needs the extra `sb3`.
+was interrupted, and a row whose settings have changed is made anew. Finished rows are no part of
+the repository: `python tools/results.py fetch --all` restores them before others are added.
+A row flies again by `bulletuav verify docs/results/leaderboard/rows/crossing-ppo-0`.
+Needs the extra `sb3`.
 """
 
 import argparse
@@ -57,6 +57,8 @@ from bulletuav.training.trainer import EVALUATION_SEED, train
 HERE = Path(__file__).parent
 EXAMPLES = HERE.parent / "examples"
 OUT = HERE.parent / "docs" / "results" / "leaderboard"
+MANIFEST = OUT.parent / "manifest.json"
+"""List of the raw results, by `tools/results.py`"""
 WORK = "work"
 """Folder of the rows that are being made, in that of the leaderboard"""
 
@@ -279,10 +281,24 @@ def chosen(rows: Sequence[Row], names: Sequence[str] | None) -> list[Row]:
     return [known[name] for name in names or known]
 
 
+def require_rows(out: Path) -> None:
+    """Raise SystemExit if recorded rows were not fetched: tables would be written without them."""
+    if out.resolve() != OUT or not MANIFEST.exists():
+        return
+    files = (OUT.parents[2] / path for path in json.loads(MANIFEST.read_text())["files"])
+    names = {file.parent.name for file in files if file.name == ROW and not file.exists()}
+    if names:
+        raise SystemExit(
+            f"{len(names)} finished rows are not in {out}, such as {min(names)}: restore them with "
+            "python tools/results.py fetch --all, or choose another folder with --out"
+        )
+
+
 def main(argv: Sequence[str] | None = None) -> None:
     """Make what is missing, and write the tables after each row."""
     arguments = parse(argv)
     out = arguments.out
+    require_rows(out)
     record = read_settings(arguments.config, "settings of a leaderboard")
     rows = list_rows(record)
     scores = {task: one.get("score", "return") for task, one in record["tasks"].items()}

@@ -203,8 +203,8 @@ def _table(task: str, entries: Sequence[Entry], score: str) -> str:
 
 
 def _lacking(rows: Sequence[Row], count: int) -> str:
-    """Tell which rows are not there."""
-    lines = ["## Not flown yet", "", f"{count - len(rows)} of {count} rows are there."]
+    """List the rows that are missing."""
+    lines = ["## Completeness", "", f"{count - len(rows)} of {count} rows are there."]
     by_policy: dict[str, list[str]] = {}
     for row in rows:
         seed = "" if row.seed is None else f", seed {row.seed}"

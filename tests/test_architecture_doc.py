@@ -37,7 +37,7 @@ def test_what_is_named_is_there(name, target):
 
 
 def test_rooms_stand_in_their_order():
-    rows = re.findall(r"^\| (`.*?`) \|", SECTIONS["Rooms"], re.MULTILINE)
+    rows = re.findall(r"^\| (`.*?`) \|", SECTIONS["Packages"], re.MULTILINE)
     told = [tuple(re.findall(r"`(\w+)`", row)) for row in rows]
     there = rooms.graph()
     order = [tuple(room for room in line if room in there) for line in rooms.ROOMS]

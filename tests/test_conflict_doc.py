@@ -1,4 +1,4 @@
-"""Tables of docs/explanation/conflict.md: their commands flew them, and fly the same again."""
+"""Tables of docs/benchmarks/conflict.md: their commands flew them, and fly the same again."""
 
 import csv
 import re
@@ -10,7 +10,7 @@ import pytest
 import bulletuav
 
 DOCS = Path(__file__).parents[1] / "docs"
-PAGE = (DOCS / "explanation" / "conflict.md").read_text()
+PAGE = (DOCS / "benchmarks" / "conflict.md").read_text()
 AVOIDANCE = DOCS / "results" / "avoidance" / "leaderboard.csv"
 CAPTURES = DOCS / "results" / "pursuit_evasion"
 
@@ -107,6 +107,6 @@ def test_a_row_of_the_policies_flies_the_same_again(task, policy):
 
 
 def test_no_table_is_of_a_former_version():
-    pages = [DOCS / "explanation" / "conflict.md", *(DOCS / "results").rglob("*.md")]
+    pages = [*(DOCS / "benchmarks").rglob("*.md"), *(DOCS / "results").rglob("*.md")]
     for page in pages:
         assert not re.search(r"version 0\.[0-8]\b", page.read_text()), page

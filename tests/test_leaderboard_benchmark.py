@@ -201,6 +201,19 @@ def test_unknown_rows_are_refused_with_the_nearest(benchmark):
         benchmark.chosen(benchmark.list_rows(told), ["crosing-ppo-0"])
 
 
+def test_tables_are_not_written_without_recorded_rows(benchmark, tmp_path, monkeypatch):
+    out, manifest = tmp_path / "docs" / "results" / "leaderboard", tmp_path / "manifest.json"
+    manifest.write_text('{"files": {"docs/results/leaderboard/rows/hover-random/row.json": {}}}')
+    monkeypatch.setattr(benchmark, "OUT", out)
+    monkeypatch.setattr(benchmark, "MANIFEST", manifest)
+    with pytest.raises(SystemExit, match="hover-random.*fetch --all"):
+        benchmark.require_rows(out)
+    benchmark.require_rows(tmp_path / "again")
+    (out / "rows" / "hover-random").mkdir(parents=True)
+    (out / "rows" / "hover-random" / "row.json").write_text("{}")
+    benchmark.require_rows(out)
+
+
 def test_the_settings_have_all_tasks_and_three_seeds(benchmark):
     from bulletuav import list_tasks
 

@@ -1,4 +1,4 @@
-"""Write the tables of stages and of states in docs/explanation/architecture.md.
+"""Write docs/reference/stages.md: the tables of stages and of states.
 
     python tools/stages.py
 
@@ -15,8 +15,25 @@ sys.path.insert(0, str(ROOT))
 from bulletuav.envs.stages import Stage, airspace_stages, decision_stages  # noqa: E402
 from bulletuav.envs.state import AirspaceState, Arrays, State  # noqa: E402
 
-PAGE = ROOT / "docs" / "explanation" / "architecture.md"
-BEGIN, END = "<!-- written by tools/stages.py -->\n", "<!-- end -->\n"
+PAGE = ROOT / "docs" / "reference" / "stages.md"
+TEXT = """# Stages of a decision
+
+A [Simulation](../../bulletuav/envs/simulation.py) is an ordered list of stages, which read and
+write arrays of a [State](../../bulletuav/envs/state.py). `print(env.aviary.simulation)` lists them,
+`Simulation.insert` adds a stage of your own, and `bulletuav benchmark --stages TASK` measures each.
+[Architecture](../explanation/architecture.md) follows a decision through the package. W is the
+number of worlds, N the number of drones in each, A the size of an action, and S that of a setpoint.
+
+`python tools/stages.py` writes this page from the code.
+
+## Environments
+
+{decision}
+## Airspaces
+
+An [Airspace](../../bulletuav/envs/airspace.py) has no task. K is the number of its obstacles.
+
+{airspace}"""
 
 
 def tables(stages: Sequence[Stage], state: type[Arrays]) -> str:
@@ -38,14 +55,13 @@ def _names(names: tuple[str, ...]) -> str:
     return ", ".join(f"`{name}`" for name in names)
 
 
-def updated(page: str) -> str:
-    """Return a page with the tables of a decision, and of an airspace, between their marks."""
-    before, *blocks = page.split(BEGIN)
-    every = tables(decision_stages(), State), tables(airspace_stages(), AirspaceState)
-    for text, block in zip(every, blocks, strict=True):
-        before += BEGIN + text + END + block.partition(END)[2]
-    return before
+def written() -> str:
+    """Return the page with the tables of a decision, and of an airspace."""
+    return TEXT.format(
+        decision=tables(decision_stages(), State),
+        airspace=tables(airspace_stages(), AirspaceState),
+    )
 
 
 if __name__ == "__main__":
-    PAGE.write_text(updated(PAGE.read_text()))
+    PAGE.write_text(written())

@@ -345,8 +345,7 @@ def test_the_state_of_an_airspace_is_declared_once():
 
 
 def test_the_page_shows_the_stages():
-    page = stages.PAGE.read_text()
-    assert stages.updated(page) == page
+    assert stages.PAGE.read_text() == stages.written()
 
 
 def test_the_stage_of_the_documentation(capsys):
