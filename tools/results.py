@@ -29,6 +29,10 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 ROOT = Path(__file__).parents[1]
+sys.path.insert(0, str(ROOT))
+
+from bulletuav.version import REPOSITORY  # noqa: E402
+
 MANIFEST = PurePosixPath("docs/results/manifest.json")
 PLACES = (
     "docs/results/leaderboard/rows",
@@ -37,8 +41,6 @@ PLACES = (
     "docs/results/cities/streets",
 )
 """Folders and files of raw results"""
-REPOSITORY = "https://github.com/OWNER/bulletuav"
-"""Address of the project; OWNER is a placeholder until the project is published"""
 RELEASES = f"{REPOSITORY}/releases/latest/download/"
 TIMEOUT = 60.0
 """Seconds to wait for a server"""
