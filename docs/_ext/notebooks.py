@@ -45,7 +45,7 @@ MODULES = {"sb3": "stable_baselines3"}
 START = """\
 %reset -f
 %matplotlib inline
-%cd -q {folder}
+%cd -q FOLDER
 def _run(line):
     import os, shlex, subprocess, sys
     plain = {name: text for name, text in os.environ.items() if name != "FORCE_COLOR"}
@@ -57,7 +57,7 @@ def _run(line):
         raise RuntimeError(done.stdout + done.stderr)
     print(done.stdout, end="")
 """
-"""First cell of each page in the common kernel; `_run` runs a command without its messages"""
+"""First cell of each page in the common kernel; `_run` runs a command and drops its messages"""
 
 
 class Snippet(NamedTuple):
@@ -117,7 +117,7 @@ def execute(pages: dict[str, str]) -> dict[str, NotebookNode]:
         joined = new_notebook()
         shown: list[NotebookNode | None] = []
         for notebook in notebooks.values():
-            start = START.format(folder=tempfile.mkdtemp(dir=folder))
+            start = START.replace("FOLDER", tempfile.mkdtemp(dir=folder))
             joined.cells.append(new_code_cell(start))
             shown.append(None)
             for cell in notebook.cells:
