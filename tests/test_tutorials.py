@@ -171,7 +171,7 @@ def test_its_notebook_has_all_of_the_page(page):
             assert (f"!{line}" if one.kind == "bash" else line) in cell.splitlines()
     texts = "".join(cell.source for cell in notebook.cells if cell.cell_type == "markdown")
     assert "```" not in texts
-    assert ".md" not in texts
+    assert ".md)" not in texts
 
 
 def test_pages_and_notebooks_have_the_outputs():
@@ -196,7 +196,7 @@ def test_pages_and_notebooks_have_the_outputs():
     assert "print(NAME)\n```\n\n```output\nAda\n```" in text
     assert re.search(r"--version\n```\n\n```output\n\S+ ?\S*\n```", text)
     assert f"]({name})\n\nThe end.\n" in text
-    assert "message" not in text
+    assert "```output\nmessage" not in text
     assert "Writing" not in text
     other, none = notebooks.page_with_outputs(empty, made["other"], "other")
     assert "```output\nFalse\n```" in other
