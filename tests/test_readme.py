@@ -1,6 +1,6 @@
 """Every snippet of the README and the docs runs.
 
-Programs of tutorials are those of notebooks: `test_site.py` runs them, as it builds the site.
+Those of tutorials and of the first flight run in `test_tutorials.py`.
 """
 
 import ast
@@ -58,19 +58,6 @@ def test_a_task_of_ones_own_takes_less_than_60_lines():
     first = re.findall(r"```python\n(.*?)```", text, re.DOTALL)[0]
     assert "(Task[" in first
     assert len(first.splitlines()) < 60
-
-
-@pytest.mark.parametrize("page", TUTORIALS, ids=lambda page: page.stem)
-def test_commands_of_tutorials(page, tmp_path, monkeypatch):
-    """They run one after the other, as a reader runs them; trainings are shorter."""
-    lines = "".join(re.findall(r"```bash\n(.*?)```", page.read_text(), re.DOTALL)).splitlines()
-    if any(line.startswith("bulletuav train") for line in lines):
-        pytest.importorskip("stable_baselines3", reason="needs the extra sb3")
-    monkeypatch.chdir(tmp_path)
-    for line in lines:
-        program, *words = shlex.split(line.replace("--steps 2e5", "--steps 2e3"))
-        assert program == "bulletuav"
-        main(words)
 
 
 def test_the_first_flight_prints_the_table_of_its_page(tmp_path, monkeypatch, capsys):
