@@ -22,11 +22,11 @@ import gallery  # noqa: E402
 
 from bulletuav.report import replay  # noqa: E402
 
-SIZE = (840, 420)
-FRAMES = 60
-INTERVAL = 0.2
+SIZE = (720, 360)
+FRAMES = 48
+INTERVAL = 0.25
 """Simulated time between frames, s"""
-DURATION = 90
+DURATION = 110
 """Duration of a frame, ms"""
 TURN = 0.35
 """Angle by which the camera turns during the film, rad"""
@@ -73,7 +73,7 @@ def main() -> None:
                 append_images=others,
                 duration=DURATION,
                 loop=0,
-                quality=45,
+                quality=35,
                 method=6,
             )
             print(f"wrote {out / f'hero_{theme}.webp'}")

@@ -60,7 +60,7 @@ class Airspace(Environment):
     """A world of N drones that hold setpoints, step by step, without goals, rewards or episodes.
 
     Each drone holds its last commanded setpoint. Before the first command the setpoint is zero at
-    the level that the dynamics consumes: motors off, or no motion.
+    the level that the dynamics consumes: motors off, or no motion. For example::
 
         airspace = Airspace([(0.0, 0.0, 1.0)], decision_hz=48)
         airspace.command(0, SetpointLevel.POSITION, (1.0, 0.0, 1.0))

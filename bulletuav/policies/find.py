@@ -121,7 +121,7 @@ def find_policy(
         source: One of
 
             - a name from `policy_names`; "trained" is the shipped policy for `task`, and
-            "untrained" its initial weights;
+              "untrained" its initial weights;
             - "module:Name", a class derived from `Policy` in an importable module;
             - such a class itself;
             - the folder of a training run, or of a checkpoint (RUN/checkpoints/003);

@@ -13,12 +13,17 @@ from sphinx.application import Sphinx
 from bulletuav.version import REPOSITORY
 
 ROOT = Path(__file__).parents[2]
+CHANGELOG = "project/changelog"
+"""Page that shows the whole changelog on the site"""
 LINK = re.compile(r"(?<=\]\()(?!\w+:|#)([^)#\s]+)(#[^)\s]*)?(?=\))")
 
 
 def replace_links(app: Sphinx, name: str, source: list[str]) -> None:
     """Replace links to files outside docs/ by links to the repository."""
     folder = posixpath.dirname(f"docs/{name}")
+    if name == CHANGELOG:
+        source[0] = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+        source[0] = LINK.sub(lambda match: posixpath.relpath(match[0], folder), source[0])
 
     def replaced(match: re.Match[str]) -> str:
         path = posixpath.normpath(posixpath.join(folder, match[1]))
