@@ -1,5 +1,6 @@
 """Animation of a recorded episode, seen from above and, if heights matter, from the south."""
 
+import textwrap
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -8,6 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection, PathCollection
+from matplotlib.figure import Figure
 from matplotlib.path import Path as Outline
 from matplotlib.textpath import TextPath
 from matplotlib.transforms import IdentityTransform
@@ -23,7 +25,6 @@ from bulletuav.report.figures import (
     SOUTH,
     UNSEEN,
     bar_lines,
-    blank_figure,
     draw_buildings,
     draw_skyline,
     drone_colours,
@@ -37,6 +38,14 @@ TRAIL_DECISIONS = 30
 """Length of a trail, decisions"""
 FINISHED_OPACITY = 0.25
 """Opacity of drones that have finished"""
+SIDE = 5.2
+"""Side of the view from above, inches"""
+MARGINS = (0.7, 1.15, 0.1, 0.3)
+"""Space left of the views, below, right and above, inches"""
+SPACE = 0.15
+"""Space between the views, inches"""
+CAPTION_WIDTH = 95
+"""Maximum length of a line of the caption, characters"""
 CONFLICT = (0.86, 0.08, 0.24, 1.0)
 """Colour of circles of drones in conflict"""
 
@@ -79,27 +88,38 @@ class Animation:
         # city.
         top = max(float(heights.max()), float(recording.building[:, 1, 2].max(initial=0)))
         tall = 1.1 * top + d_safe / 2 if deep else 0.0
-        side = 6.0 * min(0.4, max(0.15, tall / (2 * reach)))
-        self.figure = blank_figure(7, 7.4 + (0.5 + side) * deep)
-        places = self.figure.subplots(
-            1 + deep, 1, squeeze=False, sharex=True, height_ratios=[6.0, side][: 1 + deep]
-        )[:, 0]
+        south = SIDE * min(0.4, max(0.15, tall / (2 * reach))) if deep else 0.0
+        above = south + SPACE if deep else 0.0
+        # Margins are fixed: to fit them to the labels takes longer than to draw all frames.
+        left, bottom, right, over = MARGINS
+        width, height = left + SIDE + right, bottom + above + SIDE + over
+        self.figure = Figure(figsize=(width, height))
+        FigureCanvasAgg(self.figure)
+        places = [
+            self.figure.add_axes(
+                (left / width, (bottom + up) / height, SIDE / width, high / height)
+            )
+            for up, high in ((above, SIDE), (0.0, south))[: 1 + deep]
+        ]
         self._axes = places[0]
-        self._frame_axes(middle, reach)
-        self._axes.set(ylabel="y north (m)")
+        sides = np.array([-reach, reach])
+        self._axes.set(ylabel="y north (m)", ylim=middle[1] + sides)
+        self._axes.set_title(printable_text(title), fontsize=10)
         draw_buildings(self._axes, recording)
         if deep:
+            self._axes.tick_params(labelbottom=False)
             places[1].set(ylim=(0, tall), ylabel="z up (m)")
             draw_skyline(places[1], recording)
-        places[-1].set(xlabel=self._caption(drawn, drone_size))
+        places[-1].set_xlabel(self._caption(drawn, drone_size), fontsize=8)
         for axes in places:
+            axes.set_xlim(middle[0] + sides)
             axes.grid(alpha=0.3)
-        self._axes.set_title(printable_text(title))
+            axes.tick_params(labelsize=9)
+            axes.yaxis.label.set_fontsize(9)
         # The static background is drawn once, and each frame starts from a copy.
         canvas = self._canvas()
         canvas.draw()
         self._empty = canvas.copy_from_bbox(self.figure.bbox)
-        # The layout is known now, so that shapes can have sizes in pixels.
         self._views = [
             _View(axes, recording, along, drawn, d_safe)
             for axes, along in zip(places, (ABOVE, SOUTH), strict=False)
@@ -127,26 +147,21 @@ class Animation:
         high = points.max(axis=0)
         return float(max(*(high - low), 4 * drone_size)), (low + high) / 2
 
-    def _frame_axes(self, middle: np.ndarray, reach: float) -> None:
-        """Set the limits of the axes to `reach` m on each side of the centre."""
-        sides = np.array([-reach, reach])
-        self._axes.set(xlim=middle[0] + sides, ylim=middle[1] + sides, aspect="equal")
-
     def _caption(self, drawn: float, drone_size: float) -> str:
         """Return the legend of the symbols."""
         recording = self._recording
-        goals = "Crosses: goals. " if recording.goal.shape[1] else ""
-        targets = (
-            "Dots: targets (green: in sight, red: out of sight). "
-            if recording.target.shape[1]
-            else ""
-        )
-        return (
-            f"x east (m)\n\nDiscs: drones, drawn with a diameter of {drawn:.2g} m "
-            f"(true: {drone_size:.2g} m); transparent: finished.\n"
-            f"{goals}{targets}Grey: obstacles and buildings (darker: higher).\n"
-            f"Circles: diameter d_safe = {self._d_safe:g} m; red: conflict."
-        )
+        sentences = [
+            f"Discs: drones, drawn with a diameter of {drawn:.2g} m (true: {drone_size:.2g} m); "
+            "transparent: finished.",
+            f"Circles: diameter d_safe = {self._d_safe:g} m; red: conflict.",
+        ]
+        if recording.goal.shape[1]:
+            sentences.append("Crosses: goals.")
+        if recording.target.shape[1]:
+            sentences.append("Dots: targets (green: in sight, red: out of sight).")
+        if recording.obstacle.shape[1] or len(recording.building):
+            sentences.append("Grey: obstacles and buildings (darker: higher).")
+        return "x east (m)\n\n" + textwrap.fill(" ".join(sentences), CAPTION_WIDTH)
 
     def draw(self, row: int) -> np.ndarray:
         """Draw one row of the recording.
