@@ -1,6 +1,5 @@
 """Animation of a recorded episode, seen from above and, if heights matter, from the south."""
 
-import textwrap
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -9,6 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection, PathCollection
+from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure
 from matplotlib.path import Path as Outline
 from matplotlib.textpath import TextPath
@@ -44,8 +44,6 @@ MARGINS = (0.7, 1.15, 0.1, 0.3)
 """Space left of the views, below, right and above, inches"""
 SPACE = 0.15
 """Space between the views, inches"""
-CAPTION_WIDTH = 95
-"""Maximum length of a line of the caption, characters"""
 CONFLICT = (0.86, 0.08, 0.24, 1.0)
 """Colour of circles of drones in conflict"""
 
@@ -150,18 +148,17 @@ class Animation:
     def _caption(self, drawn: float, drone_size: float) -> str:
         """Return the legend of the symbols."""
         recording = self._recording
-        sentences = [
+        goals = ["Crosses: goals."] * bool(recording.goal.shape[1])
+        dots = "Dots: targets (green: in sight, red: out of sight)."
+        targets = [dots] * bool(recording.target.shape[1])
+        lines = (
             f"Discs: drones, drawn with a diameter of {drawn:.2g} m (true: {drone_size:.2g} m); "
             "transparent: finished.",
-            f"Circles: diameter d_safe = {self._d_safe:g} m; red: conflict.",
-        ]
-        if recording.goal.shape[1]:
-            sentences.append("Crosses: goals.")
-        if recording.target.shape[1]:
-            sentences.append("Dots: targets (green: in sight, red: out of sight).")
-        if recording.obstacle.shape[1] or len(recording.building):
-            sentences.append("Grey: obstacles and buildings (darker: higher).")
-        return "x east (m)\n\n" + textwrap.fill(" ".join(sentences), CAPTION_WIDTH)
+            " ".join(goals + targets),
+            f"Circles: diameter d_safe = {self._d_safe:g} m; red: conflict. "
+            "Grey: obstacles and buildings (darker: higher).",
+        )
+        return "x east (m)\n\n" + "\n".join(filter(None, lines))
 
     def draw(self, row: int) -> np.ndarray:
         """Draw one row of the recording.
@@ -251,7 +248,7 @@ class _View:
             )
             self._bars = self._add_lines(colors=BARS, linewidths=2)
         if recording.target.shape[1]:
-            self._targets = self._add_shapes([Outline.circle(radius=1.5 * point)])
+            self._targets = self._add_shapes([Outline.circle(radius=1.4 * point)], linewidths=0)
         self._trails = self._add_lines(linewidths=1.2)
         # Goals, circles of d_safe, drones and numbers share one artist: most of the time to draw an
         # artist does not depend on the number of its shapes.
@@ -314,8 +311,8 @@ class _View:
             self._bodies.set(offsets=recording.obstacle[row][:, along])
             self._bars.set(segments=bar_lines(recording, row, along))
         if recording.target.shape[1]:
-            colour = np.where(recording.seen[row], SEEN, UNSEEN)
-            self._targets.set(offsets=recording.target[row][:, along], color=colour.tolist())
+            colour = np.where(recording.seen[row][:, None], to_rgba(SEEN), to_rgba(UNSEEN))
+            self._targets.set(offsets=recording.target[row][:, along], facecolors=colour)
 
 
 class _Clock:
