@@ -23,7 +23,6 @@ from bulletuav.envs.aviary import Aviary
 from bulletuav.envs.viewer import parse_address
 from bulletuav.errors import as_int
 from bulletuav.policies import find_policy
-from bulletuav.report.live import LiveView
 from bulletuav.report.pictures import Animation, plot_tracks
 from bulletuav.report.replay import REPLAY, replay_run
 from bulletuav.tasks import find_task
@@ -47,9 +46,12 @@ def run(arguments: argparse.Namespace) -> None:
     aviary = Aviary(arguments.task, 1, **options)
     policy = spec(aviary)
     _prepare_folder(arguments.out)
-    if isinstance(aviary.viewer, LiveView):
-        print(f"{aviary.viewer.invitation}: the flight begins then", flush=True)
-        aviary.viewer.wait()
+    if aviary.viewer is not None:
+        from bulletuav.report.live import LiveView  # which imports asyncio
+
+        if isinstance(aviary.viewer, LiveView):
+            print(f"{aviary.viewer.invitation}: the flight begins then", flush=True)
+            aviary.viewer.wait()
 
     # All drones may be done before the horizon
     decisions = itertools.count(1)

@@ -138,10 +138,11 @@ def _collision_shape(client: int, shape: Shape) -> ShapeNumber:
 
 def _visual_shape(client: int, shape: Shape, colour: Colour) -> ShapeNumber:
     """Create the visual of a shape."""
-    if shape.kind in (HULL, CYLINDER):
+    if shape.kind == CYLINDER:
         # Bullet's renderer rounds the ends of cylinders.
-        points = rims(shape, SIDES) if shape.kind == CYLINDER else np.array(shape.corners)
-        corners, triangles = Solids(np.zeros((0, 2, 3)), (points,)).mesh
+        return _flat_visual(client, rims(shape, SIDES)[cylinder_triangles(SIDES)], colour)
+    if shape.kind == HULL:
+        corners, triangles = Solids(np.zeros((0, 2, 3)), (np.array(shape.corners),)).mesh
         return _flat_visual(client, corners[triangles], colour)
     keywords: dict[str, object] = {"shapeType": bullet.GEOM_BOX, "halfExtents": list(shape.half)}
     if shape.kind == SPHERE:
@@ -159,6 +160,19 @@ def rims(cylinder: Shape, sides: int) -> np.ndarray:
     across = radius * np.stack([np.cos(turn), np.sin(turn)], axis=1)
     both = [np.column_stack([across, np.full(sides, height)]) for height in (-half, half)]
     return np.concatenate(both)
+
+
+def cylinder_triangles(sides: int) -> np.ndarray:
+    """Return the triangles (T, 3) of a cylinder as indices of its `rims`, outside in front."""
+    # Corners of the lower rim, the next corners, and both on the upper rim
+    low = np.arange(sides)
+    after = (low + 1) % sides
+    high, beyond = low + sides, after + sides
+    walls = [(low, after, beyond), (low, beyond, high)]
+    # Caps are fans around the first corners
+    fan = low[1:-1]
+    caps = [(0 * fan, fan + 1, fan), (0 * fan + sides, fan + sides, fan + 1 + sides)]
+    return np.concatenate([np.stack(three, axis=1) for three in (*walls, *caps)])
 
 
 def make_city(

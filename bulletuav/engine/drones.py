@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from bulletuav.engine.bodies import Body, rims
+from bulletuav.engine.bodies import Body, cylinder_triangles, rims
 from bulletuav.engine.calls import HAS_BULLET, bullet
 from bulletuav.engine.client import disconnect, open_client
 from bulletuav.engine.silence import silenced
@@ -154,21 +154,11 @@ def _replace_cylinders(robot: ElementTree.Element) -> None:
 def _disc() -> bytes:
     """Return a disc of radius and thickness 1 as a binary STL file, which Bullet reads fastest."""
     corners = rims(Shape(CYLINDER, (1.0, 1.0, 0.5)), ROUND)
-    # Corners of the lower rim, the next corners, and both on the upper rim
-    low = np.arange(ROUND)
-    after = (low + 1) % ROUND
-    high, beyond = low + ROUND, after + ROUND
-    sides = [(low, after, beyond), (low, beyond, high)]
-    caps = [(0 * low, after, low), (0 * low + ROUND, high, beyond)]
-    triangles = np.concatenate([np.stack(three, axis=1) for three in (*sides, *caps)])
-    corner = corners[triangles]
+    corner = corners[cylinder_triangles(ROUND)]
     normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-    size = np.linalg.norm(normal, axis=1)
-    # Fans begin and end with degenerate triangles
-    has_area = size > 0
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     rows = np.zeros(
-        has_area.sum(), [("normal", "<f4", 3), ("corner", "<f4", (3, 3)), ("unused", "<u2")]
+        len(corner), [("normal", "<f4", 3), ("corner", "<f4", (3, 3)), ("unused", "<u2")]
     )
-    rows["normal"] = normal[has_area] / size[has_area, None]
-    rows["corner"] = corner[has_area]
+    rows["normal"], rows["corner"] = normal, corner
     return bytes(80) + np.uint32(len(rows)).tobytes() + rows.tobytes()

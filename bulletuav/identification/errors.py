@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from bulletuav.geometry.quaternions import multiply_quaternions
 from bulletuav.geometry.rotation import exp_map
 from bulletuav.identification.constants import Constant
 from bulletuav.identification.flight import LoggedFlight
@@ -170,13 +171,6 @@ def compute_differences(
         ],
         axis=-1,
     )
-
-
-def multiply_quaternions(p: np.ndarray, q: np.ndarray) -> np.ndarray:
-    """Return the Hamilton products p q of quaternions (..., 4)."""
-    vector = p[..., 3:] * q[..., :3] + q[..., 3:] * p[..., :3] + np.cross(p[..., :3], q[..., :3])
-    scalar = p[..., 3:] * q[..., 3:] - np.sum(p[..., :3] * q[..., :3], axis=-1, keepdims=True)
-    return np.concatenate([vector, scalar], axis=-1)
 
 
 def conjugate(q: np.ndarray) -> np.ndarray:

@@ -1,15 +1,18 @@
 """Animation of a recorded episode, seen from above and, if heights matter, from the south."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.collections import EllipseCollection, LineCollection
-from PIL import Image
+from matplotlib.collections import LineCollection, PathCollection
+from matplotlib.colors import to_rgba
+from matplotlib.figure import Figure
+from matplotlib.path import Path as Outline
+from matplotlib.textpath import TextPath
+from matplotlib.transforms import IdentityTransform
 
 from bulletuav.analysis.recording import Recording
 from bulletuav.errors import printable_text
@@ -22,13 +25,12 @@ from bulletuav.report.figures import (
     SOUTH,
     UNSEEN,
     bar_lines,
-    blank_figure,
     draw_buildings,
     draw_skyline,
     drone_colours,
     has_depth,
 )
-from bulletuav.report.video import FPS, save_video
+from bulletuav.report.video import save_gif, save_video
 
 MAX_FRAMES = 150
 """Maximum number of frames; longer episodes skip rows"""
@@ -36,6 +38,14 @@ TRAIL_DECISIONS = 30
 """Length of a trail, decisions"""
 FINISHED_OPACITY = 0.25
 """Opacity of drones that have finished"""
+SIDE = 5.2
+"""Side of the view from above, inches"""
+MARGINS = (0.7, 1.15, 0.1, 0.3)
+"""Space left of the views, below, right and above, inches"""
+SPACE = 0.15
+"""Space between the views, inches"""
+CONFLICT = (0.86, 0.08, 0.24, 1.0)
+"""Colour of circles of drones in conflict"""
 
 
 class Animation:
@@ -59,7 +69,6 @@ class Animation:
             title: Title of the frames.
         """
         self._recording = recording
-        self._title = printable_text(title)
         self._d_safe = d_safe
         # The last row is always shown, even if rows are skipped.
         self._frames = list(range(0, len(recording.time), -(-len(recording.time) // MAX_FRAMES)))
@@ -77,38 +86,43 @@ class Animation:
         # city.
         top = max(float(heights.max()), float(recording.building[:, 1, 2].max(initial=0)))
         tall = 1.1 * top + d_safe / 2 if deep else 0.0
-        side = 6.0 * min(0.4, max(0.15, tall / (2 * reach)))
-        self.figure = blank_figure(7, 7.4 + (0.5 + side) * deep)
-        places = self.figure.subplots(
-            1 + deep, 1, squeeze=False, sharex=True, height_ratios=[6.0, side][: 1 + deep]
-        )[:, 0]
+        south = SIDE * min(0.4, max(0.15, tall / (2 * reach))) if deep else 0.0
+        above = south + SPACE if deep else 0.0
+        # Margins are fixed: to fit them to the labels takes longer than to draw all frames.
+        left, bottom, right, over = MARGINS
+        width, height = left + SIDE + right, bottom + above + SIDE + over
+        self.figure = Figure(figsize=(width, height))
+        FigureCanvasAgg(self.figure)
+        places = [
+            self.figure.add_axes(
+                (left / width, (bottom + up) / height, SIDE / width, high / height)
+            )
+            for up, high in ((above, SIDE), (0.0, south))[: 1 + deep]
+        ]
         self._axes = places[0]
-        self._frame_axes(middle, reach)
-        self._axes.set(ylabel="y north (m)")
+        sides = np.array([-reach, reach])
+        self._axes.set(ylabel="y north (m)", ylim=middle[1] + sides)
+        self._axes.set_title(printable_text(title), fontsize=10)
         draw_buildings(self._axes, recording)
         if deep:
+            self._axes.tick_params(labelbottom=False)
             places[1].set(ylim=(0, tall), ylabel="z up (m)")
             draw_skyline(places[1], recording)
-        places[-1].set(xlabel=self._caption(drawn, drone_size))
+        places[-1].set_xlabel(self._caption(drawn, drone_size), fontsize=8)
         for axes in places:
+            axes.set_xlim(middle[0] + sides)
             axes.grid(alpha=0.3)
-        # Artists that change between frames, in drawing order.
-        self._text = self._axes.set_title(" ")
-        shown = (drawn, d_safe)
-        self._views = [
-            _View(axes, recording, along, *shown)
-            for axes, along in zip(places, (ABOVE, SOUTH), strict=False)
-        ]
-        self._moving: list[Artist] = [self._text]
-        for view in self._views:
-            self._moving += view.artists
-        # Animated artists are not part of a draw of the whole figure.
-        for artist in self._moving:
-            artist.set_animated(True)
+            axes.tick_params(labelsize=9)
+            axes.yaxis.label.set_fontsize(9)
         # The static background is drawn once, and each frame starts from a copy.
         canvas = self._canvas()
         canvas.draw()
         self._empty = canvas.copy_from_bbox(self.figure.bbox)
+        self._views = [
+            _View(axes, recording, along, drawn, d_safe)
+            for axes, along in zip(places, (ABOVE, SOUTH), strict=False)
+        ]
+        self._clock = _Clock(self._axes)
 
     def _canvas(self) -> FigureCanvasAgg:
         """Return the canvas of the figure."""
@@ -131,26 +145,20 @@ class Animation:
         high = points.max(axis=0)
         return float(max(*(high - low), 4 * drone_size)), (low + high) / 2
 
-    def _frame_axes(self, middle: np.ndarray, reach: float) -> None:
-        """Set the limits of the axes to `reach` m on each side of the centre."""
-        sides = np.array([-reach, reach])
-        self._axes.set(xlim=middle[0] + sides, ylim=middle[1] + sides, aspect="equal")
-
     def _caption(self, drawn: float, drone_size: float) -> str:
         """Return the legend of the symbols."""
         recording = self._recording
-        goals = "Crosses: goals. " if recording.goal.shape[1] else ""
-        targets = (
-            "Dots: targets (green: in sight, red: out of sight). "
-            if recording.target.shape[1]
-            else ""
+        goals = ["Crosses: goals."] * bool(recording.goal.shape[1])
+        dots = "Dots: targets (green: in sight, red: out of sight)."
+        targets = [dots] * bool(recording.target.shape[1])
+        lines = (
+            f"Discs: drones, drawn with a diameter of {drawn:.2g} m (true: {drone_size:.2g} m); "
+            "transparent: finished.",
+            " ".join(goals + targets),
+            f"Circles: diameter d_safe = {self._d_safe:g} m; red: conflict. "
+            "Grey: obstacles and buildings (darker: higher).",
         )
-        return (
-            f"x east (m)\n\nDiscs: drones, drawn with a diameter of {drawn:.2g} m "
-            f"(true: {drone_size:.2g} m); transparent: finished.\n"
-            f"{goals}{targets}Grey: obstacles and buildings (darker: higher).\n"
-            f"Circles: diameter d_safe = {self._d_safe:g} m; red: conflict."
-        )
+        return "x east (m)\n\n" + "\n".join(filter(None, lines))
 
     def draw(self, row: int) -> np.ndarray:
         """Draw one row of the recording.
@@ -161,15 +169,29 @@ class Animation:
         Returns:
             The frame, (height, width, 3) uint8.
         """
-        for view in self._views:
-            view.place(row, self._colours)
-        self._text.set_text(f"{self._title}   t = {self._recording.time[row]:.1f} s")
+        return self._paint(row)[..., :3].copy()
+
+    def _paint(self, row: int) -> np.ndarray:
+        """Draw one row; return the pixels (height, width, 4) of the canvas, not a copy."""
+        recording = self._recording
+        alive = recording.alive[row]
+        # Drones that have finished are transparent and have no circle.
+        faces = self._colours.copy()
+        faces[~alive, 3] = FINISHED_OPACITY
+        # Row k of separations belongs to the decision that ends at row k + 1 of the states.
+        near = recording.separation[max(0, row - 1)] < self._d_safe
+        rings = np.where(near[:, None], CONFLICT, (0.5, 0.5, 0.5, 1.0))
+        rings[~alive, 3] = 0
         canvas = self._canvas()
         canvas.restore_region(self._empty)
-        for artist in self._moving:
-            assert artist.axes is not None
-            artist.axes.draw_artist(artist)
-        return np.asarray(canvas.buffer_rgba())[..., :3].copy()
+        renderer = canvas.get_renderer()
+        for view in self._views:
+            view.place(row, self._colours, faces, rings)
+            for artist in view.artists:
+                artist.draw(renderer)
+        self._clock.show(float(recording.time[row]))
+        self._clock.artist.draw(renderer)
+        return np.asarray(canvas.buffer_rgba())
 
     def save(self, path: Path, progress: Callable[[], None] = lambda: None) -> None:
         """Write the animation to a file.
@@ -185,23 +207,14 @@ class Animation:
 
         def pictures() -> Iterator[np.ndarray]:
             for row in self._frames:
-                yield self.draw(row)
+                yield self._paint(row)
                 progress()
 
         with whole_file(path) as part:
             if path.suffix == ".mp4":
-                save_video(part, pictures())
-                return
-            # Fewer colours make smaller files; the octree quantizer is the fastest.
-            octree = Image.Quantize.FASTOCTREE
-            first, *others = (Image.fromarray(one).quantize(128, octree) for one in pictures())
-            first.save(
-                part,
-                save_all=True,
-                append_images=others,
-                duration=1000 // FPS,
-                loop=0,
-            )
+                save_video(part, (picture[..., :3].copy() for picture in pictures()))
+            else:
+                save_gif(part, pictures())
 
     def __len__(self) -> int:
         """Return the number of frames."""
@@ -218,65 +231,124 @@ class _View:
     def __init__(
         self, axes: Axes, recording: Recording, along: tuple[int, int], drawn: float, d_safe: float
     ) -> None:
-        self._axes, self._recording, self._along, self._d_safe = axes, recording, along, d_safe
+        self._axes, self._recording, self._along = axes, recording, along
         drones = recording.position.shape[1]
-        # Bars are drawn as lines, other obstacles as discs.
-        sizes = np.where(recording.obstacle_axis.any(axis=1), 0.0, 2 * recording.obstacle_radius)
-        self._bodies = self._circles(sizes, facecolors="0.8", edgecolors="0.5")
-        self._bars = LineCollection([], colors=BARS, linewidths=2)
-        self._goals = axes.scatter([], [], marker="x", s=60, linewidths=1.6)
-        self._targets = axes.scatter([], [], marker=".", s=16)
-        self._trails = LineCollection([], linewidths=1.2)
-        for lines in (self._bars, self._trails):
-            axes.add_collection(lines)
-        self._rings = self._circles(np.full(drones, d_safe), facecolors="none", linewidths=1.2)
-        self._discs = self._circles(np.full(drones, drawn), linewidths=0.5)
-        numbers = range(drones if drones <= MAX_NUMBERED_DRONES else 0)
-        self._numbers = [
-            axes.text(0, 0, f"  {drone}", fontsize=8, va="bottom") for drone in numbers
-        ]
-        self.artists: list[Artist] = [self._bodies, self._bars, self._targets, self._goals]
-        self.artists += [self._trails, self._rings, self._discs, *self._numbers]
-
-    def _circles(self, diameter: np.ndarray, **style: Any) -> EllipseCollection:
-        """Add circles of the given diameters, m, without positions."""
-        circles = EllipseCollection(
-            diameter,
-            diameter,
-            np.zeros(len(diameter)),
-            units="x",
-            offsets=np.zeros((len(diameter), 2)),
-            transOffset=self._axes.transData,
-            **style,
+        left, right = axes.get_xlim()
+        # Pixels per metre and per point
+        metre, point = axes.bbox.width / (right - left), _pixels_per_point(axes)
+        self.artists: list[LineCollection | PathCollection] = []
+        if recording.obstacle.shape[1]:
+            # Bars are drawn as lines, other obstacles as discs.
+            is_bar = recording.obstacle_axis.any(axis=1)
+            radii = np.where(is_bar, 0.0, metre * recording.obstacle_radius)
+            self._bodies = self._add_shapes(
+                [Outline.circle(radius=radius) for radius in radii],
+                facecolors="0.8",
+                edgecolors="0.5",
+            )
+            self._bars = self._add_lines(colors=BARS, linewidths=2)
+        if recording.target.shape[1]:
+            self._targets = self._add_shapes([Outline.circle(radius=1.4 * point)], linewidths=0)
+        self._trails = self._add_lines(linewidths=1.2)
+        # Goals, circles of d_safe, drones and numbers share one artist: most of the time to draw an
+        # artist does not depend on the number of its shapes.
+        arm = 4 * point
+        cross = Outline(
+            [(-arm, -arm), (arm, arm), (-arm, arm), (arm, -arm)],
+            [Outline.MOVETO, Outline.LINETO] * 2,
         )
-        self._axes.add_collection(circles)
-        return circles
+        numbers = range(drones if drones <= MAX_NUMBERED_DRONES else 0)
+        groups: tuple[list[Outline], ...] = (
+            [cross] * recording.goal.shape[1],
+            [Outline.circle(radius=metre * d_safe / 2)] * drones,
+            [Outline.circle(radius=metre * drawn / 2)] * drones,
+            [TextPath((5 * point, 2 * point), str(drone), size=8 * point) for drone in numbers],
+        )
+        self._marks = self._add_shapes(
+            [outline for group in groups for outline in group],
+            linewidths=np.repeat((1.6, 1.2, 0.5, 0.0), [len(group) for group in groups]),
+        )
+        self._numbered = len(numbers)
 
-    def place(self, row: int, colours: np.ndarray) -> None:
-        """Move all artists to a row of the states; drones have `colours` (N, 4)."""
+    def _add_lines(self, **style: Any) -> LineCollection:
+        """Add lines without positions."""
+        lines = LineCollection([], **style)
+        self._axes.add_collection(lines, autolim=False)
+        self.artists.append(lines)
+        return lines
+
+    def _add_shapes(self, outlines: Sequence[Outline], **style: Any) -> PathCollection:
+        """Add shapes with outlines in pixels, without positions."""
+        shapes = _pixel_shapes(self._axes, outlines, offset_transform=self._axes.transData, **style)
+        self.artists.append(shapes)
+        return shapes
+
+    def place(self, row: int, colours: np.ndarray, faces: np.ndarray, rings: np.ndarray) -> None:
+        """Move all artists to a row of the states.
+
+        Args:
+            row: Index of the row.
+            colours: Colours of the goals, (N, 4).
+            faces: Colours of the drones, (N, 4).
+            rings: Colours of the circles around the drones, (N, 4).
+        """
         recording, along = self._recording, self._along
         position = recording.position[row][:, along]
-        alive = recording.alive[row]
-        faces = colours.copy()
-        # Drones that have finished are transparent and have no circle.
-        faces[~alive, 3] = FINISHED_OPACITY
-        edges = np.where(alive[:, None], (0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0, FINISHED_OPACITY))
-        # Row k of separations belongs to the decision that ends at row k + 1 of the states.
-        near = recording.separation[max(0, row - 1)] < self._d_safe
-        rings = np.where(near[:, None], (0.86, 0.08, 0.24, 1.0), (0.5, 0.5, 0.5, 1.0))
-        rings[~alive, 3] = 0
-        # Artists are reused
-        self._discs.set(offsets=position, facecolors=faces, edgecolors=edges)
-        self._rings.set(offsets=position, edgecolors=rings)
+        goal = recording.goal[row][:, along]
+        numbered = self._numbered
+        nothing, black = np.zeros_like(faces), np.zeros_like(faces)
+        black[:, 3] = 1
+        edges = black * faces[:, 3:]
+        self._marks.set(
+            offsets=np.concatenate([goal, position, position, position[:numbered]]),
+            facecolors=np.concatenate([nothing[: len(goal)], nothing, faces, black[:numbered]]),
+            edgecolors=np.concatenate([colours[: len(goal)], rings, edges, nothing[:numbered]]),
+        )
         trail = recording.position[max(0, row - TRAIL_DECISIONS) : row + 1][..., along]
         self._trails.set(segments=list(trail.swapaxes(0, 1)), color=faces)
-        for text, place in zip(self._numbers, position, strict=False):
-            text.set_position(place)
-        self._bodies.set(offsets=recording.obstacle[row][:, along])
-        self._bars.set(segments=bar_lines(recording, row, along))
-        # Targets and goals exist in some tasks only
+        # Obstacles and targets exist in some tasks only
+        if recording.obstacle.shape[1]:
+            self._bodies.set(offsets=recording.obstacle[row][:, along])
+            self._bars.set(segments=bar_lines(recording, row, along))
         if recording.target.shape[1]:
-            colour = np.where(recording.seen[row], SEEN, UNSEEN)
-            self._targets.set(offsets=recording.target[row][:, along], color=colour.tolist())
-        if recording.goal.shape[1]:
-            self._goals.set(offsets=recording.goal[row][:, along], color=colours)
+            colour = np.where(recording.seen[row][:, None], to_rgba(SEEN), to_rgba(UNSEEN))
+            self._targets.set(offsets=recording.target[row][:, along], facecolors=colour)
+
+
+class _Clock:
+    """Time in the upper right corner of the axes, beyond all positions.
+
+    Attributes:
+        artist: The characters.
+    """
+
+    def __init__(self, axes: Axes) -> None:
+        self._size = 10 * _pixels_per_point(axes)
+        self._outlines: dict[str, Outline] = {}
+        self._corner = axes.bbox.max - self._size
+        self.artist = _pixel_shapes(axes, [], facecolors="black", linewidths=0)
+
+    def show(self, time: float) -> None:
+        """Set the time, s."""
+        text = f"t = {time:.1f} s"
+        # Spaces have no outline.
+        visible = [k for k, character in enumerate(text) if character != " "]
+        for character in {text[k] for k in visible} - self._outlines.keys():
+            self._outlines[character] = TextPath(
+                (0, 0), character, size=self._size, prop={"family": "monospace"}
+            )
+        self.artist.set_paths([self._outlines[text[k]] for k in visible])
+        shift = 0.6 * self._size * (np.array(visible) - len(text))
+        self.artist.set_offsets(self._corner + np.outer(shift, (1, 0)))
+
+
+def _pixels_per_point(axes: Axes) -> float:
+    return float(axes.figure.dpi) / 72
+
+
+def _pixel_shapes(axes: Axes, outlines: Sequence[Outline], **style: Any) -> PathCollection:
+    """Add filled outlines in pixels to axes."""
+    shapes = PathCollection(outlines, **style)
+    shapes.set_transform(IdentityTransform())
+    axes.add_collection(shapes, autolim=False)
+    return shapes

@@ -51,8 +51,12 @@ def save_figure(figure: Figure, path: Path) -> None:
     for text in figure.findobj(Text):
         assert isinstance(text, Text)
         text.set_text(printable_text(text.get_text()))
+    figure.set_dpi(110)
+    canvas = figure.canvas
+    assert isinstance(canvas, FigureCanvasAgg)
     with whole_file(path) as part:
-        figure.savefig(part, dpi=110)
+        # Figure.savefig would draw the figure twice.
+        canvas.print_png(part)
 
 
 def drone_colours(count: int) -> np.ndarray:

@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 from PIL import ImageDraw
-from scipy.spatial.transform import Rotation
 
 from bulletuav.analysis.recorded import Recording
 from bulletuav.engine.engine import Engine
@@ -15,6 +14,7 @@ from bulletuav.envs.renderer import Renderer, fit_camera, pixel_size
 from bulletuav.errors import as_int, find_choice
 from bulletuav.files import whole_file
 from bulletuav.geometry.obstacle import Obstacle
+from bulletuav.geometry.quaternions import multiply_quaternions, rotate_vectors
 from bulletuav.geometry.shapes import BOX, CYLINDER, SPHERE
 from bulletuav.geometry.solids import Solids
 from bulletuav.parsing import parse_json
@@ -40,8 +40,6 @@ TRAIL_TIME = 5.0
 """Length of trails, s"""
 MIN_DRONE_PIXELS = 14
 """Minimum size of drones in views of the whole scene, pixels"""
-CYLINDER_SIDES = 12
-"""Number of sides of cylinders"""
 TEXT_COLOUR = (40, 40, 40)
 PLACEHOLDER_AIRFRAME = "cf2x"
 """Airframe of the one drone that the engine requires; it is outside of all pictures"""
@@ -113,7 +111,7 @@ class Film:
                 places.append(scale * np.array(part["position"]))
                 turns.append(part["quaternion"])
         self._place = np.array(places)
-        self._own_turn = Rotation.from_quat(np.array(turns))
+        self._own_turn = np.array(turns)
         # The last buildings are hulls, whose vertices are concatenated
         sizes = recording.scene["hull_size"]
         hulls = np.split(recording.scene["hull"], np.cumsum(sizes)[:-1]) if len(sizes) else []
@@ -213,9 +211,10 @@ class Film:
         between: Callable[[np.ndarray], np.ndarray],
     ) -> None:
         """Move obstacles and parts of drones to their poses."""
-        turn = Rotation.from_quat(quaternion[self._owner])
-        places = position[self._owner] + turn.apply(self._place)
-        turns = (turn * self._own_turn).as_quat()
+        turn = quaternion / np.linalg.norm(quaternion, axis=-1, keepdims=True)
+        turn = turn[self._owner]
+        places = position[self._owner] + rotate_vectors(turn, self._place)
+        turns = multiply_quaternions(turn, self._own_turn)
         recording = self._recording
         obstacle = between(recording.obstacle)
         own = between(unwrap_quaternions(recording.scene["obstacle_quaternion"]))
@@ -323,10 +322,7 @@ def _obstacle(shape: dict[str, Any], scale: float = 1.0) -> Obstacle:
         return Obstacle("box", (2 * x, 2 * y, 2 * z), colour)
     if shape["kind"] == SPHERE:
         return Obstacle("sphere", (x,), colour)
-    corners = (scale * np.array(shape["corners"])).tolist()
     if shape["kind"] == CYLINDER:
-        # Few sides, as films have many cylinders.
-        turn = 2 * np.pi * np.arange(CYLINDER_SIDES) / CYLINDER_SIDES
-        rim = [(x * np.cos(one), x * np.sin(one)) for one in turn]
-        corners = [(*point, height) for height in (-z, z) for point in rim]
+        return Obstacle("cylinder", (x, 2 * z), colour)
+    corners = (scale * np.array(shape["corners"])).tolist()
     return Obstacle("hull", (), colour, tuple(map(tuple, corners)))

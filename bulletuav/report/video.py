@@ -1,14 +1,68 @@
-"""Video files, written by FFmpeg from the extra `video`."""
+"""Animated GIFs, and video files, written by FFmpeg from the extra `video`."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import numpy as np
+from PIL import Image
 
 from bulletuav.errors import missing_extra
 
 FPS = 20
 """Frames per second"""
+GIF_COLOURS = 127
+"""Maximum number of colours of a GIF: fewer colours make smaller files"""
+
+
+def save_gif(path: Path, pictures: Iterable[np.ndarray]) -> None:
+    """Write pictures as an animated GIF that repeats, with `FPS` frames per second.
+
+    Args:
+        path: A .gif.
+        pictures: At least one picture, (height, width, 4) uint8 and opaque, all of one size. A
+            picture may be overwritten when the next one is requested.
+
+    Raises:
+        OSError: If the file cannot be written.
+    """
+    # Few pixels change between pictures: only these are stored, quantised and compressed.
+    places, colours = [], []
+    last = np.zeros(0, dtype=np.uint32)
+    for picture in pictures:
+        shape = picture.shape[:2]
+        pixels = np.ascontiguousarray(picture).view(np.uint32).ravel()
+        if not places:
+            last = ~pixels
+        changed = np.flatnonzero(pixels != last)
+        places.append(changed)
+        colours.append(pixels[changed])
+        last[changed] = colours[-1]
+    # All frames share a palette. The octree quantizer is the fastest.
+    rgb = np.concatenate(colours).view(np.uint8).reshape(1, -1, 4)[..., :3]
+    octree = Image.Quantize.FASTOCTREE
+    quantised = Image.fromarray(np.ascontiguousarray(rgb)).quantize(GIF_COLOURS, octree)
+    indices = np.asarray(quantised)[0]
+    transparent = int(indices.max()) + 1
+    palette = quantised.getpalette()
+    assert palette is not None
+    palette = [*palette[: 3 * transparent], 0, 0, 0]
+    frames = []
+    for changed, index in zip(
+        places, np.split(indices, np.cumsum([len(k) for k in places])[:-1]), strict=True
+    ):
+        frame = np.full(shape, transparent, dtype=np.uint8)
+        frame.ravel()[changed] = index
+        frames.append(Image.fromarray(frame))
+        frames[-1].putpalette(palette)
+    frames[0].save(
+        path,
+        save_all=True,
+        append_images=frames[1:],
+        duration=1000 // FPS,
+        loop=0,
+        transparency=transparent,
+        optimize=False,
+    )
 
 
 def save_video(path: Path, pictures: Iterator[np.ndarray]) -> None:

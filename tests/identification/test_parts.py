@@ -9,7 +9,8 @@ from scipy.spatial.transform import Rotation
 from bulletuav import load_airframe
 from bulletuav.identification.battery import fit_battery
 from bulletuav.identification.constants import CONSTANTS, choose_constants
-from bulletuav.identification.errors import conjugate, multiply_quaternions
+from bulletuav.geometry.quaternions import multiply_quaternions, rotate_vectors
+from bulletuav.identification.errors import conjugate
 from bulletuav.identification.identify import _limit_yaw_inertia
 from bulletuav.identification.intervals import Information, newey_west, quantile
 from bulletuav.identification.logs import Log
