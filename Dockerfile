@@ -1,0 +1,44 @@
+# The first flight, from a checkout (docs/platforms.md has more):
+#
+#     docker build -t bulletuav . && docker run --rm --user "$(id -u)" -v "$PWD:/work" bulletuav
+
+FROM python:3.11-slim AS build
+RUN apt-get update && apt-get install -y --no-install-recommends elfutils gcc libc6-dev
+RUN pip install --no-cache-dir "uv>=0.9,<1" && python -m venv --without-pip /opt/bulletuav
+ENV PATH=/opt/bulletuav/bin:$PATH VIRTUAL_ENV=/opt/bulletuav UV_NO_CACHE=1
+WORKDIR /source
+
+# Dependencies, with those of training; PyTorch without CUDA
+COPY pyproject.toml constraints.txt ./
+RUN uv pip install --torch-backend cpu -c constraints.txt -r pyproject.toml --extra sb3
+
+# What neither flights nor trainings read: symbols, headers, tests, data of PyBullet, TensorBoard's viewer
+RUN cd /opt/bulletuav/lib/python3.11/site-packages \
+    && rm -rf pybullet_data pybullet_envs pybullet_examples pybullet_robots eglRenderer.*.so \
+        torch/include torch/test grpc tensorboard/webfiles.zip tensorboard_data_server/bin \
+    && find torch/bin -type f ! -name torch_shm_manager -delete \
+    && find . -type d -name tests -prune -exec rm -rf {} + \
+    && find . -name "*.py[idx]" -delete \
+    && find . -name "*.so*" -type f -exec eu-strip {} +
+
+# Machine code for processors with AVX2; any other processor compiles at its first flight
+COPY . .
+RUN uv pip install --no-deps -e . \
+    && if [ "$(uname -m)" = x86_64 ]; then python tools/build_code.py --levels x86-64-v3; fi \
+    && uv pip install --no-deps .
+
+# Check both, and keep byte code of what flights import
+WORKDIR /tmp
+RUN PYTHONDONTWRITEBYTECODE=1 bulletuav train hover --steps 2000 --out run \
+    && bulletuav fly crossing --drones 8 --policy straight --seed 0 --out out \
+    && bulletuav verify out
+
+FROM python:3.11-slim
+COPY --from=build /opt/bulletuav /opt/bulletuav
+RUN mkdir -m 1777 /work
+# Files of matplotlib and Numba go to a folder that any user may write to
+ENV PATH=/opt/bulletuav/bin:$PATH HOME=/tmp
+USER 1000
+WORKDIR /work
+ENTRYPOINT ["bulletuav"]
+CMD ["fly", "crossing", "--drones", "8", "--policy", "straight", "--seed", "0", "--out", "out"]
