@@ -1,4 +1,4 @@
-# The first flight, from a checkout (docs/platforms.md has more):
+# The first flight, from a checkout (docs/start/install.md has more):
 #
 #     docker build -t bulletuav . && docker run --rm --user "$(id -u)" -v "$PWD:/work" bulletuav
 
