@@ -7,9 +7,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from bulletuav import load_airframe
+from bulletuav.geometry.quaternions import multiply_quaternions
 from bulletuav.identification.battery import fit_battery
 from bulletuav.identification.constants import CONSTANTS, choose_constants
-from bulletuav.geometry.quaternions import multiply_quaternions, rotate_vectors
 from bulletuav.identification.errors import conjugate
 from bulletuav.identification.identify import _limit_yaw_inertia
 from bulletuav.identification.intervals import Information, newey_west, quantile
