@@ -34,6 +34,9 @@ external_toc_path = "_toc.yml"
 
 myst_enable_extensions = ["colon_fence"]
 myst_heading_anchors = 4
+myst_html_meta = {
+    "description": "bulletuav: a drone-swarm gym on PyBullet for multi-agent research",
+}
 autodoc_member_order = "bysource"
 autodoc_typehints = "description"
 autodoc_typehints_description_target = "documented_params"
@@ -51,8 +54,6 @@ html_js_files = [("site.js", {"defer": "defer"})]
 html_copy_source = False
 html_show_sphinx = False
 html_theme_options = {
-    "light_logo": "logo.svg",
-    "dark_logo": "logo.svg",
     "light_css_variables": {
         "color-brand-primary": "#3949ab",
         "color-brand-content": "#3949ab",

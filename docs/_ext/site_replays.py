@@ -15,6 +15,7 @@ sys.path.append(str(ROOT / "benchmarks"))
 
 import gallery  # noqa: E402
 
+import bulletuav  # noqa: E402
 from bulletuav.report import replay  # noqa: E402
 
 PLACE = re.compile(r"<!-- replay: (\w+) -->")
@@ -32,7 +33,6 @@ def embed(app: Any, docname: str, source: list[str]) -> None:
 
     def framed(match: re.Match[str]) -> str:
         name = match[1]
-        app.replays.add(name)
         title = "3-D replay of a flight" + (f" in the task {name}" if name != FRONT else "")
         address = f"{up}{FOLDER}/{name}.html"
         return (
@@ -45,12 +45,12 @@ def embed(app: Any, docname: str, source: list[str]) -> None:
 
 
 def write_replays(app: Any, error: Exception | None) -> None:
-    """Fly and write the replays of all places."""
+    """Fly and write the replays of the front page and of all tasks."""
     if error is not None or os.environ.get("SKIP_REPLAYS"):
         return
     folder = Path(app.outdir, FOLDER)
     folder.mkdir(exist_ok=True)
-    for name in sorted(app.replays):
+    for name in (FRONT, *bulletuav.list_tasks()):
         page = make_page(name)
         if len(page.encode()) > MAX_SIZE:
             raise ValueError(f"the replay {name} has more than {MAX_SIZE} bytes: fly less of it")
@@ -65,7 +65,6 @@ def make_page(name: str) -> str:
 
 def setup(app: Any) -> dict[str, bool]:
     """Connect the extension."""
-    app.replays = set()
     app.connect("source-read", embed)
     app.connect("build-finished", write_replays)
     return {"parallel_read_safe": False}

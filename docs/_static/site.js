@@ -10,3 +10,6 @@ const paint = () => {
 };
 new MutationObserver(paint).observe(document.body, { attributeFilter: ["data-theme"] });
 for (const frame of document.querySelectorAll("iframe.replay")) frame.addEventListener("load", paint);
+
+// The theme marks captions of the side bar as headings, but gives them no level.
+for (const caption of document.querySelectorAll(".caption[role=heading]")) caption.ariaLevel = 2;
