@@ -1,7 +1,9 @@
 """Installing: metadata, lock files, dependencies, their pins and licenses."""
 
 import configparser
+import json
 import re
+import shlex
 import tomllib
 from pathlib import Path
 
@@ -309,3 +311,70 @@ def test_licenses_of_all_dependencies_are_told():
     _, *rows = re.findall(r"^\| ([\w-]+) \| (.*?) \| \S", told_of, re.MULTILINE)
     told = {name: set(extras.replace("`", "").split(", ")) for name, extras in rows}
     assert told == wanted
+
+
+# Continuous integration, and the image
+
+
+def workflow(name):
+    return yaml.safe_load((ROOT / ".github" / "workflows" / f"{name}.yml").read_text())["jobs"]
+
+
+def commands(job):
+    """Lines that a job runs."""
+    return [line for step in job["steps"] for line in step.get("run", "").splitlines()]
+
+
+def readme_commands():
+    """Words of the README's first flight, and the commands of its tests."""
+    flight, suite = re.findall(r"```bash\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
+    return shlex.split(flight.rpartition("&&")[2])[1:], suite.strip().split(" && ")
+
+
+def test_ci_runs_on_all_pythons_that_the_package_names():
+    check, flight = workflow("ci").values()
+    tested = [step["with"]["python-version"] for step in check["steps"] if "with" in step]
+    flown = flight["strategy"]["matrix"]["python"]
+    name = "Programming Language :: Python :: "
+    named = {one.removeprefix(name) for one in project()["classifiers"] if one.startswith(name)}
+    assert {*tested, *flown} == named - {"3"}
+
+
+def test_ci_flies_the_first_flight_of_the_readme():
+    words, _ = readme_commands()
+    lines = commands(workflow("ci")["flight"])
+    assert shlex.join(["bulletuav", *words]) in lines
+    assert lines[-1] == f"bulletuav verify {words[words.index('--out') + 1]}"
+
+
+def test_newest_dependencies_run_the_test_command_of_the_readme():
+    jobs = workflow("newest")
+    _, (_, install, *checks) = readme_commands()
+    lines = "\n".join(commands(jobs["suite"]))
+    assert all(check in lines for check in checks)
+    assert install.partition("constraints.txt ")[2] in lines  # what is installed, at any version
+    assert "constraints" not in lines
+    # Names whose bounds a second run leaves out
+    (lifted,) = re.findall(r"printf '(.*?)' > lifted.txt", lines)
+    bounded = {parts(one)[0] for one in project()["dependencies"] if "<" in one.partition(";")[0]}
+    assert {*lifted.split("\\n")} - {""} == bounded
+    assert "pip-audit --strict" in "\n".join(commands(jobs["audit"]))
+
+
+def test_the_image_flies_the_first_flight_of_the_readme():
+    text = (ROOT / "Dockerfile").read_text()
+    (command,) = re.findall(r"^CMD (.*)$", text, re.MULTILINE)
+    words, _ = readme_commands()
+    assert json.loads(command) == words
+    assert re.search(r"^USER (?!0|root)", text, re.MULTILINE)
+
+
+def test_the_image_is_built_from_what_a_wheel_needs():
+    lines = (ROOT / ".dockerignore").read_text().splitlines()
+    assert lines[1] == "*"
+    given = {line[1:] for line in lines if line.startswith("!")}
+    assert not [name for name in given if not (ROOT / name).exists()]
+    manifest = re.findall(r"^(?:graft|include) (.*)$", (ROOT / "MANIFEST.in").read_text(), re.M)
+    needed = {name.partition("/")[0] for line in manifest for name in line.split()}
+    needed |= {project()["readme"], *project()["license-files"]}
+    assert needed | {"bulletuav", "pyproject.toml", "setup.cfg", "setup.py"} <= given
