@@ -58,6 +58,7 @@ def test_the_page_on_citing_has_the_data_of_the_citation_file():
         "abstract": citation["abstract"],
         "author": "{" + " and ".join(author["name"] for author in citation["authors"]) + "}",
         "version": citation["version"],
+        "year": str(citation["date-released"].year),
         "license": citation["license"],
         "url": citation["repository-code"],
     }

@@ -159,7 +159,7 @@ def read_commit(root: Path, commit: str, paths: Sequence[str]) -> bytes | None:
 
 def download(url: str) -> bytes:
     """Download an archive."""
-    if "/OWNER/" in url:
+    if "/OWNER" in url:
         raise ResultsError(
             "the project is not published yet, so there is no release to fetch from; "
             "use a git checkout with its history, or --archive FILE"
