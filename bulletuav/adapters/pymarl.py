@@ -71,7 +71,7 @@ class PymarlEnv(LabelledEnvironment):
             common_reward: If True, all drones receive one common reward. Otherwise each receives
                 its own, which only EPyMARL supports, and which teams with opposed aims need.
             reward_scalarisation: Common reward: the "sum" or the "mean" over all N drones.
-            symlog: If True, observations and state are compressed by sign(x) ln(1 + |x|). These
+            symlog: If True, observations and state are compressed by sign(x) ln(1 + abs(x)). These
                 programs pass them to their networks without scaling.
             replay_dir: Folder for `save_replay`; without it no frames are stored.
             action: "discrete", "discrete_27", or another discrete action.

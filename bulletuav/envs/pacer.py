@@ -15,7 +15,7 @@ class Pacer:
     Deadlines are one period apart, from the time the pacer was created or `restart` was called. A
     missed deadline does not shift later ones: a loop that was late once catches up. After a pause,
     such as a reset, it does not: if `wait` is called later than 1 s and later than one period after
-    its deadline, the deadlines restart from there.
+    its deadline, the deadlines restart from there. For example::
 
         pacer = Pacer(period=0.1)
         while flying:

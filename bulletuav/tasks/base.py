@@ -44,7 +44,7 @@ class Task(ABC, Generic[ConfigT]):
     """A task for a swarm of drones: starts, observations, reward, termination and success.
 
     The docstring of a subclass describes its MDP; its class attributes declare the parts. A
-    complete task, in which drones fly to a point 10 m up and hold it:
+    complete task, in which drones fly to a point 10 m up and hold it::
 
         @dataclass(frozen=True)
         class PerchConfig(TaskConfig):
