@@ -92,6 +92,30 @@ def test_a_first_step_imports_no_more_than_it_needs():
     assert not first or not imported(STEP) & unneeded  # the first may compile
 
 
+def test_a_first_flight_imports_no_more_than_it_needs(tmp_path):
+    """Neither SciPy nor what only live views use; numba imports the linear algebra to compile."""
+    words = ["fly", "crossing", "--drones", "2", "--policy", "straight", "--out", str(tmp_path)]
+    words += ["--set", "horizon=2", "--set", "dynamics=point_mass"]
+    assert not imported(COMMAND, *words) & {"scipy.spatial", "asyncio"}
+    assert (tmp_path / "tracks.png").exists()
+
+
+COLLECTIONS = """
+import gc
+from bulletuav import cli
+collections = []
+gc.callbacks.append(lambda *about: collections.append(about))
+cli._module("fly")
+assert not collections
+assert gc.isenabled()
+assert gc.get_freeze_count() > 100_000
+"""
+
+
+def test_modules_of_commands_are_not_searched_for_garbage():
+    subprocess.run([sys.executable, "-c", COLLECTIONS], check=True)
+
+
 # Names
 
 

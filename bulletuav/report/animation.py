@@ -10,6 +10,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection, PathCollection
 from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure
+from matplotlib.font_manager import FontProperties
 from matplotlib.path import Path as Outline
 from matplotlib.textpath import TextPath
 from matplotlib.transforms import IdentityTransform
@@ -40,9 +41,9 @@ FINISHED_OPACITY = 0.25
 """Opacity of drones that have finished"""
 SIDE = 5.2
 """Side of the view from above, inches"""
-MARGINS = (0.7, 1.15, 0.1, 0.3)
+MARGINS = (0.8, 1.14, 0.1, 0.3)
 """Space left of the views, below, right and above, inches"""
-SPACE = 0.15
+SPACE = 0.16
 """Space between the views, inches"""
 CONFLICT = (0.86, 0.08, 0.24, 1.0)
 """Colour of circles of drones in conflict"""
@@ -86,9 +87,10 @@ class Animation:
         # city.
         top = max(float(heights.max()), float(recording.building[:, 1, 2].max(initial=0)))
         tall = 1.1 * top + d_safe / 2 if deep else 0.0
-        south = SIDE * min(0.4, max(0.15, tall / (2 * reach))) if deep else 0.0
+        # An even number of pixels, as videos need.
+        south = round(SIDE * min(0.4, max(0.15, tall / (2 * reach))) * 50) / 50 if deep else 0.0
         above = south + SPACE if deep else 0.0
-        # Margins are fixed: to fit them to the labels takes longer than to draw all frames.
+        # Margins are fixed: to fit them to the labels would take as long as to draw fifty frames.
         left, bottom, right, over = MARGINS
         width, height = left + SIDE + right, bottom + above + SIDE + over
         self.figure = Figure(figsize=(width, height))
@@ -156,7 +158,7 @@ class Animation:
             "transparent: finished.",
             " ".join(goals + targets),
             f"Circles: diameter d_safe = {self._d_safe:g} m; red: conflict. "
-            "Grey: obstacles and buildings (darker: higher).",
+            "Grey: obstacles, buildings (darker: higher).",
         )
         return "x east (m)\n\n" + "\n".join(filter(None, lines))
 
@@ -239,19 +241,16 @@ class _View:
         self.artists: list[LineCollection | PathCollection] = []
         if recording.obstacle.shape[1]:
             # Bars are drawn as lines, other obstacles as discs.
-            is_bar = recording.obstacle_axis.any(axis=1)
-            radii = np.where(is_bar, 0.0, metre * recording.obstacle_radius)
-            self._bodies = self._add_shapes(
-                [Outline.circle(radius=radius) for radius in radii],
-                facecolors="0.8",
-                edgecolors="0.5",
-            )
+            self._is_disc = ~recording.obstacle_axis.any(axis=1)
+            radii = metre * recording.obstacle_radius[self._is_disc]
+            bodies = [Outline.circle(radius=radius) for radius in radii.tolist()]
+            self._bodies = self._add_shapes(bodies, facecolors="0.8", edgecolors="0.5")
             self._bars = self._add_lines(colors=BARS, linewidths=2)
         if recording.target.shape[1]:
             self._targets = self._add_shapes([Outline.circle(radius=1.4 * point)], linewidths=0)
         self._trails = self._add_lines(linewidths=1.2)
-        # Goals, circles of d_safe, drones and numbers share one artist: most of the time to draw an
-        # artist does not depend on the number of its shapes.
+        # Goals, circles of d_safe, drones and numbers share one artist, as each artist takes time.
+        # Numbers are outlines: the layout of a text takes longer than all shapes together.
         arm = 4 * point
         cross = Outline(
             [(-arm, -arm), (arm, arm), (-arm, arm), (arm, -arm)],
@@ -308,7 +307,7 @@ class _View:
         self._trails.set(segments=list(trail.swapaxes(0, 1)), color=faces)
         # Obstacles and targets exist in some tasks only
         if recording.obstacle.shape[1]:
-            self._bodies.set(offsets=recording.obstacle[row][:, along])
+            self._bodies.set(offsets=recording.obstacle[row, self._is_disc][:, along])
             self._bars.set(segments=bar_lines(recording, row, along))
         if recording.target.shape[1]:
             colour = np.where(recording.seen[row][:, None], to_rgba(SEEN), to_rgba(UNSEEN))
@@ -325,7 +324,7 @@ class _Clock:
     def __init__(self, axes: Axes) -> None:
         self._size = 10 * _pixels_per_point(axes)
         self._outlines: dict[str, Outline] = {}
-        self._corner = axes.bbox.max - self._size
+        self._corner = np.array(axes.bbox.max) - self._size
         self.artist = _pixel_shapes(axes, [], facecolors="black", linewidths=0)
 
     def show(self, time: float) -> None:
@@ -335,7 +334,7 @@ class _Clock:
         visible = [k for k, character in enumerate(text) if character != " "]
         for character in {text[k] for k in visible} - self._outlines.keys():
             self._outlines[character] = TextPath(
-                (0, 0), character, size=self._size, prop={"family": "monospace"}
+                (0, 0), character, size=self._size, prop=FontProperties(family="monospace")
             )
         self.artist.set_paths([self._outlines[text[k]] for k in visible])
         shift = 0.6 * self._size * (np.array(visible) - len(text))

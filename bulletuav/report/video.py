@@ -25,31 +25,31 @@ def save_gif(path: Path, pictures: Iterable[np.ndarray]) -> None:
     Raises:
         OSError: If the file cannot be written.
     """
-    # Few pixels change between pictures: only these are stored, quantised and compressed.
-    places, colours = [], []
-    last = np.zeros(0, dtype=np.uint32)
+    # Few pixels change between pictures: only these are kept and quantised.
+    places: list[np.ndarray] = []
+    colours: list[np.ndarray] = []
     for picture in pictures:
-        shape = picture.shape[:2]
         pixels = np.ascontiguousarray(picture).view(np.uint32).ravel()
         if not places:
-            last = ~pixels
+            shape, last = picture.shape[:2], ~pixels  # all pixels of the first picture change
         changed = np.flatnonzero(pixels != last)
         places.append(changed)
         colours.append(pixels[changed])
         last[changed] = colours[-1]
-    # All frames share a palette. The octree quantizer is the fastest.
+    # All frames share one palette. The octree quantizer is the fastest.
     rgb = np.concatenate(colours).view(np.uint8).reshape(1, -1, 4)[..., :3]
-    octree = Image.Quantize.FASTOCTREE
-    quantised = Image.fromarray(np.ascontiguousarray(rgb)).quantize(GIF_COLOURS, octree)
+    quantised = Image.fromarray(np.ascontiguousarray(rgb)).quantize(
+        GIF_COLOURS, Image.Quantize.FASTOCTREE
+    )
     indices = np.asarray(quantised)[0]
     transparent = int(indices.max()) + 1
     palette = quantised.getpalette()
     assert palette is not None
     palette = [*palette[: 3 * transparent], 0, 0, 0]
     frames = []
-    for changed, index in zip(
-        places, np.split(indices, np.cumsum([len(k) for k in places])[:-1]), strict=True
-    ):
+    ends = np.cumsum([len(changed) for changed in places])[:-1]
+    for changed, index in zip(places, np.split(indices, ends), strict=True):
+        # Transparent pixels keep their colour, and compress well.
         frame = np.full(shape, transparent, dtype=np.uint8)
         frame.ravel()[changed] = index
         frames.append(Image.fromarray(frame))

@@ -5,6 +5,8 @@ import re
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
+from matplotlib.text import Text
 from PIL import Image
 
 import bulletuav
@@ -333,6 +335,7 @@ def test_pictures_are_drawn(flown, tmp_path):
     animation = Animation(recording, 5.0, 0.55, "title")
     caption = animation.figure.axes[-1].get_xlabel()
     assert "Crosses: goals" in caption
+    assert "Dots" not in caption
     assert "true: 0.55 m" in caption
     assert "Circles: diameter d_safe = 5 m" in caption
     frames = []
@@ -340,6 +343,59 @@ def test_pictures_are_drawn(flown, tmp_path):
     with Image.open(tmp_path / "flight.gif") as image:
         assert image.n_frames == len(animation) == len(recording.time)
     assert len(frames) == len(animation)
+
+
+def test_a_frame_needs_no_layout_of_text(flown, monkeypatch):
+    """It takes longer than all else: the outlines of characters are made once."""
+    _, recording, _ = flown
+    animation = Animation(recording, 5.0, 0.55, "title")
+    frames = [animation.draw(row) for row in (0, 3)]
+    monkeypatch.setattr(Text, "draw", None)
+    np.testing.assert_array_equal(animation.draw(0), frames[0])
+    assert (animation.draw(3) != frames[0]).any()
+
+
+def test_moving_parts_are_drawn_at_their_positions(flown):
+    """Pixels that change are near the track or the clock, and some at each position."""
+    _, recording, _ = flown
+    animation = Animation(recording, 0.5, 0.55, "title")
+    row = 5
+    changed = np.flipud((animation.draw(row) != animation.draw(0)).any(axis=-1))
+    allowed = np.zeros_like(changed)
+    above, south = animation.figure.axes
+    for axes, along in ((above, (0, 1)), (south, (0, 2))):
+        for place in recording.position[: row + 1][..., along].reshape(-1, 2):
+            x, y = axes.transData.transform(place).astype(int)
+            assert changed[y - 8 : y + 8, x - 8 : x + 8].any()
+            allowed[y - 20 : y + 20, x - 20 : x + 20] = True
+    right, top = above.bbox.max.astype(int)
+    allowed[top - 30 : top, right - 120 : right] = True
+    assert not (changed & ~allowed).any()
+
+
+def test_all_text_fits_into_the_animation(flown):
+    """Whatever kinds of symbols the caption explains."""
+    _, recording, _ = flown
+    rows = len(recording.time)
+    whole = dataclasses.replace(
+        recording,
+        target=np.zeros((rows, 2, 3)),
+        seen=np.ones((rows, 2), dtype=bool),
+        building=np.array([[[-1000.0, -1000.0, 0.0], [-900.0, -900.0, 100.0]]]),
+    )
+    figure = Animation(whole, 12.5, 0.55, "lidar_navigation: 16 hummingbird, planner").figure
+    needed = figure.get_tightbbox(figure.canvas.get_renderer())
+    assert (needed.min >= 0).all()
+    assert (needed.max <= figure.get_size_inches()).all()
+
+
+def test_pictures_are_drawn_once(flown, tmp_path, monkeypatch):
+    _, recording, _ = flown
+    draws = []
+    draw = Figure.draw
+    monkeypatch.setattr(Figure, "draw", lambda self, one: (draws.append(self), draw(self, one)))
+    plot_tracks(recording, 5.0, "title", tmp_path / "tracks.png")
+    assert len(draws) == 1
 
 
 def test_long_flights_are_drawn_in_few_frames(flown):

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from bulletuav import load_airframe
-from bulletuav.geometry.quaternions import multiply_quaternions
+from bulletuav.geometry.quaternions import multiply_quaternions, rotate_vectors
 from bulletuav.identification.battery import fit_battery
 from bulletuav.identification.constants import CONSTANTS, choose_constants
 from bulletuav.identification.errors import conjugate
@@ -34,6 +34,8 @@ def test_products_of_quaternions_are_those_of_scipy():
     found = multiply_quaternions(p.as_quat(), q.as_quat())
     np.testing.assert_allclose(Rotation.from_quat(found).as_matrix(), (p * q).as_matrix())
     np.testing.assert_allclose(multiply_quaternions(p.as_quat(), conjugate(p.as_quat()))[:, 3], 1.0)
+    vectors = np.random.default_rng(3).normal(size=(5, 3))
+    np.testing.assert_allclose(rotate_vectors(p.as_quat(), vectors), p.apply(vectors))
 
 
 def test_every_constant_is_read_and_replaced():
