@@ -2,15 +2,11 @@
 #
 #     docker build -t bulletuav . && docker run --rm --user "$(id -u)" -v "$PWD:/work" bulletuav
 
-# Python without what installs packages, and without its editor
-FROM python:3.11-slim AS base
-RUN cd /usr/local/lib/python3.11 \
-    && rm -rf ensurepip idlelib lib2to3 site-packages/* tkinter turtledemo ../../include
-
 FROM python:3.11-slim AS build
 RUN apt-get update && apt-get install -y --no-install-recommends elfutils gcc libc6-dev
-RUN pip install --no-cache-dir "uv>=0.9,<1" && python -m venv --without-pip /opt/bulletuav
-ENV PATH=/opt/bulletuav/bin:$PATH VIRTUAL_ENV=/opt/bulletuav UV_NO_CACHE=1 PYTHONDONTWRITEBYTECODE=1
+RUN python -m venv /opt/uv && /opt/uv/bin/pip install --no-cache-dir "uv>=0.9,<1" \
+    && python -m venv --without-pip /opt/bulletuav
+ENV PATH=/opt/bulletuav/bin:/opt/uv/bin:$PATH VIRTUAL_ENV=/opt/bulletuav UV_NO_CACHE=1 PYTHONDONTWRITEBYTECODE=1
 WORKDIR /source
 
 # Dependencies, with those of training; PyTorch without CUDA
@@ -38,11 +34,16 @@ RUN bulletuav train hover --steps 2000 --out run \
     && PYTHONDONTWRITEBYTECODE= bulletuav fly crossing --drones 8 --policy straight --seed 0 --out out \
     && bulletuav verify out
 
-# Without layers, as what was removed from the first one would count
+# Leave out what built it, pip, and Python's editor
+RUN apt-get purge -y --auto-remove elfutils gcc libc6-dev \
+    && cd /usr/local/lib/python3.11 \
+    && rm -rf ensurepip idlelib lib2to3 site-packages/* tkinter turtledemo ../../include \
+        /source /opt/uv /tmp/* /root/.cache /var/cache/apt/* /var/lib/apt/lists/* \
+    && mkdir -m 1777 /work
+
+# As one layer: what was removed from earlier ones would count
 FROM scratch
-COPY --from=base / /
-COPY --from=build /opt/bulletuav /opt/bulletuav
-RUN mkdir -m 1777 /work
+COPY --from=build / /
 # Files of matplotlib and Numba go to a folder that any user may write to
 ENV PATH=/opt/bulletuav/bin:/usr/local/bin:/usr/bin:/bin HOME=/tmp LANG=C.UTF-8
 USER 1000
