@@ -38,6 +38,8 @@ const PLOT_EVERY = 400; // interval between plots of a growing episode, ms
 class Player {
   constructor(payload) {
     this.canvas = byId("view");
+    // A page that embeds this one has the theme and the explanations.
+    if (window.parent !== window) document.body.classList.add("compact");
     this.renderer = new WebGLRenderer({ canvas: this.canvas, antialias: true });
     Object.assign(this, {
       chosen: 0,
