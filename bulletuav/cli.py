@@ -7,7 +7,6 @@ The commands are `tasks`, `fly`, `city`, `evaluate`, `compare`, `dataset`, `merg
 
 import argparse
 import difflib
-import gc
 import importlib
 import io
 import itertools
@@ -98,18 +97,7 @@ class _Parser(argparse.ArgumentParser):
 
 def _module(name: str) -> ModuleType:
     """Import the module of a command on demand: importing all of them takes seconds."""
-    path = f"bulletuav.commands.{name}"
-    if path in sys.modules:
-        return sys.modules[path]
-    # Modules are no garbage: to search them would take a twentieth of the time of a short flight
-    was_enabled = gc.isenabled()
-    gc.disable()
-    try:
-        return importlib.import_module(path)
-    finally:
-        gc.freeze()
-        if was_enabled:
-            gc.enable()
+    return importlib.import_module(f"bulletuav.commands.{name}")
 
 
 def _parser(words: Sequence[str]) -> tuple[_Parser, dict[str, _Parser]]:
@@ -217,7 +205,7 @@ def _run(words: Sequence[str]) -> None:
     if "_ARGCOMPLETE" in os.environ:
         _complete()
     if not words:
-        print(MENU)  # without the parsers, which take longer than the rest
+        sys.stdout.write(f"{MENU}\n")  # without the parsers, which take longer than the rest
         return
     parser, commands = _parser(words)
     if words[0] in commands:

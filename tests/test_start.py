@@ -100,22 +100,6 @@ def test_a_first_flight_imports_no_more_than_it_needs(tmp_path):
     assert (tmp_path / "tracks.png").exists()
 
 
-COLLECTIONS = """
-import gc
-from bulletuav import cli
-collections = []
-gc.callbacks.append(lambda *about: collections.append(about))
-cli._module("fly")
-assert not collections
-assert gc.isenabled()
-assert gc.get_freeze_count() > 100_000
-"""
-
-
-def test_modules_of_commands_are_not_searched_for_garbage():
-    subprocess.run([sys.executable, "-c", COLLECTIONS], check=True)
-
-
 # Names
 
 
