@@ -42,11 +42,13 @@ LENGTHY = frozenset(Path(__file__).with_name("lengthy.txt").read_text().splitlin
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items):
-    """Mark tests that take long, before pytest selects by marks."""
+    """Mark tests that take long, and those to skip, before pytest selects by marks."""
     for item in items:
         name = item.nodeid.partition("[")[0]
         if name in LENGTHY or name.partition("::")[0] in LENGTHY:
             item.add_marker("lengthy")
+        if item.get_closest_marker("bullet") and not HAS_BULLET:
+            item.add_marker(pytest.mark.skip(reason="needs PyBullet"))
 
 
 def find_missing(error):
