@@ -1,4 +1,5 @@
 import gc
+import importlib.util
 import multiprocessing
 import os
 import runpy
@@ -33,27 +34,63 @@ settings.register_profile(
 settings.load_profile("bulletuav")
 
 
+TRAINERS = ("stable_baselines3", "supersuit", "tensorboard", "tensordict", "torch", "torchrl")
+ABSENT = frozenset(name for name in TRAINERS if importlib.util.find_spec(name) is None)
+"""Modules of trainers that are not installed, as PyTorch is large"""
 LENGTHY = frozenset(Path(__file__).with_name("lengthy.txt").read_text().splitlines())
 
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items):
-    """Mark tests that take long, before pytest selects by marks."""
+    """Mark tests that take long, and those to skip, before pytest selects by marks."""
     for item in items:
         name = item.nodeid.partition("[")[0]
         if name in LENGTHY or name.partition("::")[0] in LENGTHY:
             item.add_marker("lengthy")
+        if item.get_closest_marker("bullet") and not HAS_BULLET:
+            item.add_marker(pytest.mark.skip(reason="needs PyBullet"))
+
+
+def find_missing(error):
+    """Return the package that an error is about, if it is optional and not installed.
+
+    The error of a missing extra is raised while that of the import is handled.
+    """
+    while isinstance(error, ImportError | SystemExit):
+        if not HAS_BULLET and "PyBullet is needed" in str(error):
+            return "PyBullet"
+        root = (getattr(error, "name", None) or "").partition(".")[0]
+        if root in ABSENT:
+            return root
+        error = error.__cause__ or error.__context__
+    return None
+
+
+class Module(pytest.Module):
+    """Tests of a file, skipped if the file imports an optional package that is not installed."""
+
+    def collect(self):
+        try:
+            return super().collect()
+        except self.CollectError as error:
+            missing = find_missing(error.__cause__)
+            if missing is None:
+                raise
+            pytest.skip(f"needs {missing}", allow_module_level=True)
+
+
+def pytest_pycollect_makemodule(module_path, parent):
+    return Module.from_parent(parent, path=module_path)
 
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_makereport(item, call):
-    """Skip tests of what needs PyBullet, where it has no wheel and is not installed."""
+    """Skip tests of what needs an optional package that is not installed."""
     report = yield
-    error = call.excinfo and call.excinfo.value
-    is_missing = isinstance(error, ImportError) and "PyBullet is needed" in str(error)
-    if is_missing and not HAS_BULLET:
+    missing = find_missing(call.excinfo and call.excinfo.value)
+    if missing is not None:
         report.outcome = "skipped"
-        report.longrepr = (str(item.path), item.location[1], "Skipped: needs PyBullet")
+        report.longrepr = (str(item.path), item.location[1], f"Skipped: needs {missing}")
     return report
 
 

@@ -9,6 +9,8 @@ from pathlib import Path
 import numpy as np
 
 import bulletuav
+from bulletuav.dynamics import DEFAULT_DYNAMICS
+from bulletuav.engine.calls import require_bullet
 
 FOLDER = Path(__file__).parent / "golden"
 STEPS = 100
@@ -22,6 +24,8 @@ def fly(task):
     Gives its observations, rewards and states.
     """
     aviary = bulletuav.Aviary(task)
+    if aviary.options.dynamics == DEFAULT_DYNAMICS:
+        require_bullet("golden trajectories of the default dynamics")
     rows = {
         "observations": [aviary.reset(seeds=SEEDS.get(task, 0))[0]],
         "rewards": [],

@@ -3,6 +3,7 @@
 import numpy as np
 
 import bulletuav
+from bulletuav.engine.calls import HAS_BULLET
 from bulletuav.engine.engine import Engine
 from bulletuav.sensors.base import Moment, SensorSetup
 from bulletuav.vehicle.swarm import Swarm
@@ -36,9 +37,10 @@ def swarm_of(worlds, drones, position=0.0, velocity=0.0, quaternion=LEVEL, rates
 
 
 def swarm_at(engine, position, quaternion=LEVEL):
-    """The engine's drones at rest at a position, (3,) or more, its bodies with them."""
+    """The engine's drones at rest at a position, (3,) or more, its bodies in Bullet with them."""
     swarm = swarm_of(*engine.shape, position, quaternion=quaternion)
-    engine.set_states(swarm, np.ones(engine.shape, dtype=bool))
+    if HAS_BULLET:
+        engine.set_states(swarm, np.ones(engine.shape, dtype=bool))
     return swarm
 
 

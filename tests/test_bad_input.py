@@ -241,8 +241,8 @@ def test_what_is_large_and_possible_is_planned():
     ],
 )
 def test_buffers_and_networks_that_do_not_fit_are_refused_with_both_figures(config, asked):
-    models = pytest.importorskip("bulletuav.training.models")
     from bulletuav.policies.run import RunConfig
+    from bulletuav.training import models
 
     run = RunConfig("hover", **config)
     env = type("Env", (), {"num_envs": run.worlds, "num_drones": 1})()
@@ -263,8 +263,8 @@ def test_buffers_and_networks_that_do_not_fit_are_refused_with_both_figures(conf
     ],
 )
 def test_settings_of_models_are_named(model, told):
-    models = pytest.importorskip("bulletuav.training.models")
     from bulletuav.policies.run import RunConfig
+    from bulletuav.training import models
 
     env = type("Env", (), {"num_envs": 1, "num_drones": 1})()
     observer = EnvSpec("hover", 1, {}).observer

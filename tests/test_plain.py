@@ -178,6 +178,13 @@ def test_functions_without_a_source_run_as_they_are():
     assert out[0] == 128.0
 
 
+@pytest.mark.parametrize("source", ["\n", "x = (\n", "def other(x):\n    return x**3\n"])
+def test_functions_with_the_source_of_something_else_run_as_they_are(source, monkeypatch):
+    """Python 3.13 finds such a source if `exec` in `python -c` defines the function."""
+    monkeypatch.setattr("inspect.getsource", lambda function: source)
+    test_functions_without_a_source_run_as_they_are()
+
+
 SESSION = """
 import numpy as np
 import sys

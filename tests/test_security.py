@@ -12,7 +12,6 @@ from pathlib import Path
 import pytest
 
 import bulletuav
-from bulletuav.adapters.sb3_model import Sb3Model
 from bulletuav.cli import main
 from bulletuav.compiled import folders, kernel
 from bulletuav.policies import find_policy
@@ -104,6 +103,8 @@ def test_python_is_refused_as_well(tmp_path, sprung, poison):
         find_policy(source)
     with pytest.raises(ValueError, match="trust=True"):
         bulletuav.evaluate("crossing", source, 1)
+    from bulletuav.adapters.sb3_model import Sb3Model
+
     aviary = bulletuav.Aviary("crossing")
     with pytest.raises(ValueError, match="trust=True"):
         Sb3Model(aviary, "ppo", tmp_path / "model.zip")

@@ -10,7 +10,6 @@ import pytest
 import without_bullet
 
 from bulletuav.cli import main
-from bulletuav.engine.calls import HAS_BULLET
 from bulletuav.report.verification import Verifier
 
 ROOT = Path(__file__).parents[1]
@@ -56,7 +55,8 @@ def test_bodies_rays_and_snapshots_have_the_same_bits_with_it(found, tmp_path):
 
 
 @pytest.mark.parametrize(
-    "what", ["dynamics", "rays", "contacts", "rgb", "render", "airspace", "airsim"]
+    "what",
+    ["dynamics", "rays", "contacts", "rgb", "render", "airspace", "airspace contacts", "airsim"],
 )
 def test_an_error_names_reason_and_remedy(found, what):
     if what == "airsim":
@@ -97,7 +97,7 @@ def test_commands_fly_draw_and_verify(found, folder):
     assert "bullet " not in speeds["out"]
 
 
-@pytest.mark.skipif(not HAS_BULLET, reason="needs PyBullet")
+@pytest.mark.bullet
 def test_recordings_are_verified_in_the_dynamics_that_flew_them(found, folder):
     """Both were flown by the default, which differs."""
     refused = found["commands"]["verify bullet"]

@@ -139,10 +139,11 @@ def errors():
     return {
         "dynamics": error_of(make, "hover", dynamics="bullet"),
         "rays": error_of(make, "hover", rays="bullet", **point),
-        "contacts": error_of(make, "hover", dynamics="bullet", contacts="bullet"),
+        "contacts": error_of(make, "hover", contacts="bullet"),
         "rgb": error_of(make, "hover", observation="rgb", **point),
         "render": error_of(make, "hover", render_mode="rgb_array", **point),
         "airspace": error_of(bulletuav.Airspace, [(0, 0, 1)], dynamics="bullet"),
+        "airspace contacts": error_of(bulletuav.Airspace, [(0, 0, 1)], contacts="bullet"),
         "airsim": error_of(airsim),
     }
 

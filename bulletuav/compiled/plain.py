@@ -16,7 +16,7 @@ import math
 import textwrap
 import threading
 import types
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -102,21 +102,25 @@ def _with_products(function: Callable[..., Any]) -> types.CodeType:
     code = function.__code__
     if not any(one.argrepr == "**" for one in dis.get_instructions(code)):
         return code
-    try:
-        source = textwrap.dedent(inspect.getsource(function))
-    except OSError:
-        return code
-    tree = _Products().visit(ast.parse(source))
-    definition = tree.body[0]
-    definition.decorator_list = []
     # The outer function defines the closure variables
     outer = ast.parse(f"def outer({', '.join(code.co_freevars)}):\n    return {function.__name__}")
-    outer.body[0].body.insert(0, definition)  # type: ignore[attr-defined]
-    ast.increment_lineno(ast.fix_missing_locations(outer), code.co_firstlineno - 1)
-    found = compile(outer, code.co_filename, "exec")
-    for _ in range(2):
-        found = next(one for one in found.co_consts if isinstance(one, types.CodeType))
-    return found
+    # Python 3.13 gives lines of `python -c` as the source of functions that `exec` defines
+    try:
+        source = textwrap.dedent(inspect.getsource(function))
+        found = _Products().visit(ast.parse(source)).body
+        for definition in found:
+            definition.decorator_list = []
+        outer.body[0].body[:0] = found  # type: ignore[attr-defined]
+        ast.increment_lineno(ast.fix_missing_locations(outer), code.co_firstlineno - 1)
+        (frame,) = _codes(compile(outer, code.co_filename, "exec"))
+    except (OSError, SyntaxError):
+        return code
+    return next((one for one in _codes(frame) if one.co_name == code.co_name), code)
+
+
+def _codes(code: types.CodeType) -> Iterator[types.CodeType]:
+    """Yield the codes of the functions that a code defines."""
+    return (one for one in code.co_consts if isinstance(one, types.CodeType))
 
 
 class _Products(ast.NodeTransformer):

@@ -18,18 +18,32 @@ DEFAULT_DYNAMICS = "bullet" if HAS_BULLET else "rigid_body"
 """Name of the dynamics that flies if none is given"""
 
 
+def default_dynamics(contacts: object = None) -> str:
+    """Return `DEFAULT_DYNAMICS`; warn once in a process if PyBullet is not installed.
+
+    Args:
+        contacts: Value of the option `contacts`. Bullet's contacts need dynamics "bullet".
+
+    Returns:
+        The name of the dynamics.
+    """
+    if isinstance(contacts, str) and contacts == "bullet":
+        return "bullet"
+    _warn_without_bullet()
+    return DEFAULT_DYNAMICS
+
+
 @functools.cache
-def default_dynamics() -> str:
-    """Return `DEFAULT_DYNAMICS`; warn once in a process if PyBullet is not installed."""
+def _warn_without_bullet() -> None:
+    """Warn if the default is another dynamics than on a machine with PyBullet."""
     if DEFAULT_DYNAMICS != "bullet":
         warnings.warn(
             f"PyBullet is not installed, so the default dynamics is {DEFAULT_DYNAMICS!r} instead "
             f"of 'bullet': the same forces, integrated differently (about 2 cm apart after a "
             f"second), so that results have other bits; name the dynamics to fly the same on all "
             f"machines, or install PyBullet: {install('bullet')}",
-            stacklevel=2,
+            stacklevel=3,
         )
-    return DEFAULT_DYNAMICS
 
 
 def find_dynamics(source: str | type[Dynamics]) -> type[Dynamics]:

@@ -105,7 +105,7 @@ def airspace_options(
     # Default values follow from the airframes
     values = dict(given)
     if "dynamics" not in values:
-        values["dynamics"] = default_dynamics()
+        values["dynamics"] = default_dynamics(values.get("contacts"))
     make_tuples(values)
     values["airframe"] = load_airframes(airframe, len(places))
     values.setdefault("max_speed", min(one.max_speed for one in values["airframe"]))

@@ -93,7 +93,7 @@ def resolve_options(task: type[Task[Any]], given: Mapping[str, Any]) -> Resolved
         if values.get(name, "") is None:
             raise ValueError(f"{name} is None: leave it out for the task's default")
     if "dynamics" not in values:
-        values["dynamics"] = default_dynamics()
+        values["dynamics"] = default_dynamics(values.get("contacts"))
     make_tuples(values)
     _load_airframes(values, given)
     if "action" not in given:

@@ -8,7 +8,6 @@ import pickle
 
 import numpy as np
 import pytest
-import torch
 from PIL import Image
 
 import bulletuav
@@ -23,6 +22,8 @@ BOTH = pytest.mark.parametrize("flavour", ["epymarl", "pymarl"])
 
 def chosen(env, rng):
     """Available actions at random, as the runners' action selectors take them: a tensor."""
+    import torch
+
     available = np.array(env.get_avail_actions())
     assert available.shape == (env.n_agents, env.get_total_actions())
     assert set(available.ravel()) <= {0, 1}

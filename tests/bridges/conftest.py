@@ -4,6 +4,7 @@ import pytest
 from bridges.crtp_client import Drone
 from bridges.mavlink_client import Station
 
+from bulletuav.bridges import airsim_pictures
 from bulletuav.bridges.crazyflie_fleet import CrazyflieFleet
 from bulletuav.bridges.mavlink_fleet import MavlinkFleet
 
@@ -83,3 +84,14 @@ def fly():
         return sent
 
     return fly
+
+
+@pytest.fixture
+def draw_by(monkeypatch):
+    """Lets AirSim's pictures be drawn by something else than the process, without PyBullet."""
+
+    def replace(process):
+        monkeypatch.setattr(airsim_pictures, "require_bullet", lambda what: None)
+        monkeypatch.setattr(airsim_pictures, "DrawingProcess", process)
+
+    return replace

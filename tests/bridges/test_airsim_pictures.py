@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from waiting import PATIENCE
 
-from bulletuav.bridges import airsim_drawing, airsim_pictures
+from bulletuav.bridges import airsim_drawing
 from bulletuav.bridges.airsim_calls import AirsimCalls
 from bulletuav.bridges.airsim_pictures import MAX_RESTARTS, DrawingError, PictureQueue
 from bulletuav.bridges.airsim_world import AirsimWorld
@@ -141,9 +141,9 @@ class Stub:
 
 
 @pytest.fixture
-def stub(monkeypatch):
+def stub(draw_by, monkeypatch):
     """Replaces the process; returns the class, which lists those that were started."""
-    monkeypatch.setattr(airsim_pictures, "DrawingProcess", Stub)
+    draw_by(Stub)
     monkeypatch.setattr(Stub, "made", ())
     monkeypatch.setattr(Stub, "dies", 0)
     monkeypatch.setattr(Stub, "permits", 0)
@@ -211,10 +211,11 @@ def test_a_process_that_ends_is_started_again_once(make, stub, caplog):
     assert len(caplog.records) == 2 + MAX_RESTARTS
 
 
-def test_a_process_that_cannot_start_is_an_error(make, monkeypatch):
+def test_a_process_that_cannot_start_is_an_error(make, draw_by, monkeypatch):
     def refuse(*args, **options):
         raise OSError("no room for a process")
 
+    draw_by(airsim_drawing.DrawingProcess)
     monkeypatch.setattr(airsim_drawing.subprocess, "Popen", refuse)
     _, calls, pictures = make(1)
     with pytest.raises(DrawingError, match="no room for a process"):

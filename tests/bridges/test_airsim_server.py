@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 from waiting import PATIENCE, until
 
-from bulletuav.bridges import airsim, airsim_drawing, airsim_pictures
+from bulletuav.bridges import airsim, airsim_drawing
 from bulletuav.bridges.airsim import AirsimServer, TurnScheduler
 from bulletuav.bridges.airsim_world import AirsimWorld
 from bulletuav.cli import main
@@ -440,8 +440,9 @@ def test_clients_that_wait_hold_their_places_for_a_time_alone(serve, connect):
     until(lambda: len(server._streams._talks) == 3)
 
 
-def test_the_start_of_the_process_stops_nobody(serve, connect, monkeypatch):
+def test_the_start_of_the_process_stops_nobody(serve, connect, draw_by, monkeypatch):
     """Neither does a start that never ends, and the server ends nevertheless."""
+    draw_by(airsim_drawing.DrawingProcess)
     monkeypatch.setattr(airsim_drawing, "CHILD_PROGRAM", "import time; time.sleep(1e6)")
     server = serve()
     client, other = connect(server), connect(server)
@@ -452,11 +453,11 @@ def test_the_start_of_the_process_stops_nobody(serve, connect, monkeypatch):
     until(lambda: server.world.time > before + 0.2)
 
 
-def test_a_picture_that_cannot_be_drawn_is_an_error(serve, connect, monkeypatch):
+def test_a_picture_that_cannot_be_drawn_is_an_error(serve, connect, draw_by):
     def refuse():
         raise OSError("no room for a process")
 
-    monkeypatch.setattr(airsim_pictures, "DrawingProcess", refuse)
+    draw_by(refuse)
     client = connect(serve())
     error, result = client.ask("simGetImages", [ONE], "")
     assert "the process that draws pictures ended (no room for a process)" in error
@@ -481,9 +482,9 @@ class Large:
 
 
 @pytest.fixture
-def large_pictures(monkeypatch):
+def large_pictures(draw_by):
     """Pictures are a million bytes each: sockets hold few of them."""
-    monkeypatch.setattr(airsim_pictures, "DrawingProcess", Large)
+    draw_by(Large)
 
 
 @pytest.fixture
@@ -532,7 +533,7 @@ def test_more_than_a_client_may_leave_unread_is_sent_to_one_that_reads(
     assert not caplog.records
 
 
-def test_a_client_that_waits_for_pictures_is_not_idle(serve, connect, monkeypatch):
+def test_a_client_that_waits_for_pictures_is_not_idle(serve, connect, draw_by):
     """It keeps its place, however long they take; one that waits for nothing makes room."""
     may_draw, now = threading.Event(), [0.0]
 
@@ -541,7 +542,7 @@ def test_a_client_that_waits_for_pictures_is_not_idle(serve, connect, monkeypatc
             assert may_draw.wait(PATIENCE)
             return msgpack.packb(b"drawn")
 
-    monkeypatch.setattr(airsim_pictures, "DrawingProcess", Slow)
+    draw_by(Slow)
     limits = ConnectionLimits(max_clients=2, grace=60.0, max_idle=1000.0)
     server = serve(limits=limits, clock=lambda: now[0])
     client, idle = connect(server), connect(server)
@@ -562,7 +563,7 @@ def test_a_client_that_waits_for_pictures_is_not_idle(serve, connect, monkeypatc
 
 @pytest.mark.parametrize("is_sending", [False, True], ids=["while drawn", "while sent"])
 def test_a_client_dropped_before_its_pictures_came_leaves_nothing(
-    is_sending, serve, connect, monkeypatch, caplog
+    is_sending, serve, connect, draw_by, caplog
 ):
     may_draw, drawn = threading.Event(), []
 
@@ -572,7 +573,7 @@ def test_a_client_dropped_before_its_pictures_came_leaves_nothing(
             assert is_sending or may_draw.wait(PATIENCE)
             return msgpack.packb(bytes(10**6))
 
-    monkeypatch.setattr(airsim_pictures, "DrawingProcess", Slow)
+    draw_by(Slow)
     now = [0.0]
     server = serve(clock=lambda: now[0])
     client, other = connect(server), connect(server)

@@ -7,7 +7,6 @@ import pytest
 from bulletuav.cli import _parser, main
 from bulletuav.commands import train
 from bulletuav.policies.run import RunConfig, shipped, shipped_tasks
-from bulletuav.training import trainer
 from bulletuav.training.campaign import Campaign
 
 TINY = [
@@ -78,6 +77,8 @@ def test_progress_tells_how_it_goes_and_where_the_time_went(tmp_path, capsys, mo
 
 
 def test_an_interrupt_tells_how_to_go_on(tmp_path, capsys, monkeypatch):
+    from bulletuav.training import trainer
+
     monkeypatch.chdir(tmp_path)
 
     def cut(*_, **options):
@@ -94,7 +95,9 @@ class OneProcess(Campaign):
     """Which starts faster."""
 
     def train(self, workers=1, progress=lambda steps: None, note=lambda text: None):
-        return [(config, trainer.train(config, self.run_folder(config))) for config in self.configs]
+        from bulletuav.training.trainer import train
+
+        return [(config, train(config, self.run_folder(config))) for config in self.configs]
 
 
 def test_several_seeds_make_one_table_and_one_picture(tmp_path, capsys, monkeypatch):

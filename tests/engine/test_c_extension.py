@@ -16,11 +16,11 @@ from waiting import LONG
 import bulletuav.engine.engine as engine_module
 from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.engine.c_extension import SWITCH, CExtension, Extension, load_extension
-from bulletuav.engine.calls import HAS_BULLET, MAX_RAYS, SURFACE_GROUP, bullet
+from bulletuav.engine.calls import MAX_RAYS, SURFACE_GROUP, bullet
 from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.vehicle.swarm import ObstacleMotion
 
-pytestmark = pytest.mark.skipif(not HAS_BULLET, reason="needs PyBullet")
+pytestmark = pytest.mark.bullet
 needs_extension = pytest.mark.skipif(
     os.environ.get(SWITCH) == "0", reason="the extension is turned off"
 )

@@ -56,6 +56,7 @@ def test_a_file_with_meshes_beside_it_stays_as_it_is(urdf, tmp_path):
         assert files == {airframe.urdf: airframe.urdf}
 
 
+@pytest.mark.bullet
 def test_a_cylinder_without_a_size_is_left_to_bullet_which_refuses_it(urdf):
     path = urdf("cf2x", (CYLINDER, CYLINDER.replace('radius="0.02313"', "")))
     with pytest.raises(ValueError, match=f"{path}: the engine cannot load it"):

@@ -279,6 +279,7 @@ def test_nothing_is_printed(capfd, urdf):
     assert capfd.readouterr() == ("", "")
 
 
+@pytest.mark.bullet
 def test_a_urdf_that_the_engine_cannot_load_is_refused(urdf):
     """Checks before leave little for which it is so: here the file goes after they have passed."""
     path = urdf("cf2x")

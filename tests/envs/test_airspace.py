@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 import bulletuav
 from bulletuav import Airspace, SetpointLevel
 from bulletuav.contact.time_of_impact import CONTACT_DISTANCE
-from bulletuav.dynamics import DYNAMICS
+from bulletuav.dynamics import DEFAULT_DYNAMICS, DYNAMICS
 from bulletuav.dynamics.base import Dynamics
 from bulletuav.engine import engine as engine_module
 from bulletuav.geometry.obstacle import Obstacle
@@ -640,7 +640,7 @@ def test_it_tells_what_it_is_closes_at_the_end_of_a_with_and_counts_whole_second
     with Airspace([(0, 0, 1), (3, 0, 1)], physics_hz=490, decision_hz=49) as airspace:
         steps(airspace, 49)
         assert airspace.time == 1.0
-        assert repr(airspace) == "<Airspace of 2 cf2x, bullet, 1 s>"
+        assert repr(airspace) == f"<Airspace of 2 cf2x, {DEFAULT_DYNAMICS}, 1 s>"
         before = airspace.setpoint.copy()
         airspace.command([], "position", (0, 0, 1))
         np.testing.assert_array_equal(airspace.setpoint, before)
@@ -650,11 +650,11 @@ def test_it_tells_what_it_is_closes_at_the_end_of_a_with_and_counts_whole_second
         airspace.step()
 
 
-def test_what_contacts_tell_is_a_copy():
-    for contacts in ("impulse", "bullet"):
-        airspace = Airspace([(0, 0, CF2X.standing_height)], contacts=contacts)
-        steps(airspace, 24).contacts.other[:] = 77
-        assert set(airspace.contacts.other) == {GROUND}
+@pytest.mark.parametrize("contacts", ["impulse", "bullet"])
+def test_what_contacts_tell_is_a_copy(contacts):
+    airspace = Airspace([(0, 0, CF2X.standing_height)], contacts=contacts)
+    steps(airspace, 24).contacts.other[:] = 77
+    assert set(airspace.contacts.other) == {GROUND}
 
 
 def test_cameras_look_at_what_they_are_told_to():

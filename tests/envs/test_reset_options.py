@@ -3,11 +3,9 @@
 import gymnasium
 import numpy as np
 import pytest
-from stable_baselines3.common.vec_env import DummyVecEnv
 
 import bulletuav
 from bulletuav.adapters.pymarl import PymarlEnv
-from bulletuav.adapters.sb3 import DroneVecEnv
 
 OPTIONS = {"dynamics": "point_mass", "horizon": 3}
 SINGLE = {
@@ -111,6 +109,8 @@ def test_a_curriculum_goes_on_with_the_same_numbers_after_a_wrong_option():
 
 
 def test_the_drones_of_stable_baselines3_take_no_options():
+    from bulletuav.adapters.sb3 import DroneVecEnv
+
     env = DroneVecEnv("crossing", 2, **OPTIONS)
     env.set_options({})
     env.set_options()
@@ -132,6 +132,8 @@ NO_ATTRIBUTES = {
 
 
 def test_stable_baselines3_sets_no_attribute_without_effect():
+    from stable_baselines3.common.vec_env import DummyVecEnv
+
     env = DummyVecEnv([lambda: gymnasium.make("bulletuav/Crossing-v1", **OPTIONS).unwrapped])
     for name, said in NO_ATTRIBUTES.items():
         with pytest.raises(AttributeError, match=f"setting .*{said}"):

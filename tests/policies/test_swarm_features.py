@@ -2,12 +2,10 @@
 
 import numpy as np
 import pytest
-import torch
 from gymnasium.spaces import Box
 from scipy.optimize import minimize_scalar
 
 import bulletuav
-from bulletuav.adapters.swarm_features import SwarmFeatures as Learned
 from bulletuav.policies.neural_network import Network
 from bulletuav.policies.swarm_features import EntityKind, NumpySwarmFeatures, find_layout
 from bulletuav.sensors.base import Label, vector_labels
@@ -28,10 +26,14 @@ def labels(count, obstacles=1):
 
 
 def learned(count, seed=0):
+    import torch
+
+    from bulletuav.adapters.swarm_features import SwarmFeatures
+
     torch.manual_seed(seed)
     told = labels(count)
     space = Box(-np.inf, np.inf, (len(told),), np.float32)
-    return Learned(space, find_layout(told), SIZE, 2.0).double()
+    return SwarmFeatures(space, find_layout(told), SIZE, 2.0).double()
 
 
 def flown(layer, count):
@@ -84,6 +86,8 @@ def test_labels_of_a_task_are_found():
 
 @pytest.mark.parametrize("count", [1, 3, 6])
 def test_numpy_computes_what_pytorch_learned_for_any_number_of_others(count):
+    import torch
+
     layer = learned(count)
     given = rows(count)
     given[1, 3:10] = 0  # nobody there

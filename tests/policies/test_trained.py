@@ -2,20 +2,15 @@
 
 import numpy as np
 import pytest
-import torch
 from gymnasium.spaces import Box
 from safetensors.numpy import save_file
 
 import bulletuav
-from bulletuav.adapters.sb3 import DroneVecEnv
-from bulletuav.adapters.sb3_policy import policy_network
 from bulletuav.policies import find_policy
 from bulletuav.policies.features import UserFeatures, log_path_gain, symlog
 from bulletuav.policies.neural_network import Network, is_plain, read_weights
 from bulletuav.policies.run import SHIPPED, RunConfig, shipped_tasks
 from bulletuav.policies.trained import Trained
-from bulletuav.training import checkpoint
-from bulletuav.training.models import make_model
 
 CALM = {
     "dynamics": "single_integrator",
@@ -29,6 +24,10 @@ CALM = {
 @pytest.mark.parametrize("task", shipped_tasks())
 def test_numpy_flies_as_pytorch_learned(task):
     """In double precision; in single precision PyTorch is off by 1e-6 in the sums over users."""
+    import torch
+
+    from bulletuav.adapters.sb3_policy import policy_network
+
     pilot, config = find_policy("trained", task), RunConfig.read(SHIPPED / task / "run.yaml")
     aviary = bulletuav.Aviary(task, 2, **pilot.options)
     policy, observations = pilot(aviary), aviary.reset(seeds=0)
@@ -70,6 +69,10 @@ CASES = {
 @pytest.mark.parametrize("case", CASES)
 def test_every_algorithms_actor_is_flown_as_it_is_learned(case, tmp_path):
     """To 1e-6 of stable-baselines3's own deterministic actions, from the file of a checkpoint."""
+    from bulletuav.adapters.sb3 import DroneVecEnv
+    from bulletuav.training import checkpoint
+    from bulletuav.training.models import make_model
+
     algo = case.partition(",")[0]
     options = {**CALM, "action": "discrete"} if algo == "dqn" else CALM
     config = RunConfig("converge", algo, options=options, model=CASES[case], worlds=1)

@@ -4,12 +4,9 @@ import numpy as np
 import pytest
 
 import bulletuav
-from bulletuav.adapters.sb3 import DroneVecEnv
 from bulletuav.policies import find_policy
 from bulletuav.policies.run import RunConfig
 from bulletuav.policies.versus import joint_actions, joint_options
-from bulletuav.training import checkpoint
-from bulletuav.training.models import make_model
 
 POINTS = {"dynamics": "single_integrator", "difficulty": "easy"}
 
@@ -103,6 +100,10 @@ def test_actions_and_options_of_sides_must_agree():
 
 def write_run(folder, action):
     """Write the folder of a run whose network chooses among velocities, not trained."""
+    from bulletuav.adapters.sb3 import DroneVecEnv
+    from bulletuav.training import checkpoint
+    from bulletuav.training.models import make_model
+
     options = {**POINTS, "action": action}
     config = RunConfig("pursuit_evasion", "dqn", options=options, worlds=1)
     env = DroneVecEnv("pursuit_evasion", 1, **options)

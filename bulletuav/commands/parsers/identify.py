@@ -44,9 +44,9 @@ def _factors() -> str:
     from bulletuav.identification.logs import FACTORS
 
     return (
-        f"column of a quantity, if its name or unit differs; a factor is a number or one of "
-        f"{', '.join(FACTORS)}, with a minus sign for a reversed axis, such as t=time*ms "
-        f"q=gyro_y*-deg z=altitude*mm-0.03"
+        f"column of a quantity, if its name or unit differs, as NAME=COLUMN[*FACTOR][+OFFSET]; a "
+        f"factor is a number or one of {', '.join(FACTORS)}, with a minus sign for a reversed "
+        f"axis, such as t=time*ms q=gyro_y*-deg z=altitude*mm-0.03"
     )
 
 
@@ -86,7 +86,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         action="extend",
         default=[],
-        metavar="NAME=COLUMN[*FACTOR][+OFFSET]",
+        metavar="NAME=COLUMN",
         help=_factors,
     )
     parser.add_argument(
