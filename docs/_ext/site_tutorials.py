@@ -29,6 +29,9 @@ def execute(app: Any, environment: Any, docnames: list[str]) -> None:
         for file, content in pictures.items():
             (folder / file).write_bytes(content)
             text = text.replace(f"]({file})", f"]({IMAGES}/{file})")
+        # Notebooks are written after the pages: Markdown links to them would be unknown
+        link = f'<a href="{name}.ipynb" download>Download the notebook</a>'
+        text = text.replace(f"[Download the notebook]({name}.ipynb)", link)
         app.tutorials[name] = (text, notebook)
 
 
