@@ -5,7 +5,7 @@
 
 leaderboard.yaml decides all rows. A row is a policy in a task: a baseline, or one that an algorithm
 has learned with a seed. It is made as a whole or not at all. So the same command goes on where it
-was interrupted, and a row whose settings have changed is made anew. Finished rows are no part of
+was interrupted, and a row whose settings have changed is made again. Finished rows are no part of
 the repository: `python tools/results.py fetch --all` restores them before others are added.
 A row flies again by `bulletuav verify docs/results/leaderboard/rows/crossing-ppo-0`.
 Needs the extra `sb3`.

@@ -52,7 +52,7 @@ MAX_SIZE = 25.0
 
 def run(*command: str | Path, folder: Path = ROOT, **variables: str) -> str:
     """Run a command and return what it wrote; leave with its errors where it fails."""
-    told = subprocess.run(
+    done = subprocess.run(
         [str(word) for word in command],
         cwd=folder,
         env={**os.environ, **variables},
@@ -60,9 +60,9 @@ def run(*command: str | Path, folder: Path = ROOT, **variables: str) -> str:
         text=True,
         check=False,
     )
-    if told.returncode:
-        raise SystemExit(f"{' '.join(map(str, command))} failed:\n{told.stdout}{told.stderr}")
-    return told.stdout
+    if done.returncode:
+        raise SystemExit(f"{' '.join(map(str, command))} failed:\n{done.stdout}{done.stderr}")
+    return done.stdout
 
 
 def unpack(place: Path) -> Path:
@@ -186,10 +186,10 @@ def audit(python: Path) -> None:
     packages = run(python, "-c", find).strip()
     command = (sys.executable, "-m", "pip_audit", "--progress-spinner", "off", "--format", "json")
     # It ends with an error both where it finds a vulnerability and where it cannot look for any
-    told = subprocess.run(
+    done = subprocess.run(
         [*command, "--path", packages], capture_output=True, text=True, check=False
     )
-    print(judge_audit(told.stdout, told.stderr))
+    print(judge_audit(done.stdout, done.stderr))
 
 
 def judge_audit(report: str, errors: str) -> str:
