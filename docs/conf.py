@@ -52,6 +52,7 @@ html_static_path = ["_static"]
 html_css_files = ["site.css"]
 html_js_files = [("site.js", {"defer": "defer"})]
 html_copy_source = False
+html_show_search_summary = False  # excerpts are fetched, which a folder does not allow
 html_show_sphinx = False
 html_theme_options = {
     "light_css_variables": {
