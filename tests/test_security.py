@@ -91,6 +91,8 @@ def test_a_poisoned_model_is_refused_before_anything_of_it_runs(
         [*COMMANDS[command], policy, "--out", "out"], capsys, "can execute code when it is read"
     )
     assert not sprung.exists()
+    import stable_baselines3  # noqa: F401 - skips the rest without it
+
     with pytest.raises(SystemExit):  # it is no whole model, but is read: that the test can fail
         main([*COMMANDS[command], policy, "--out", "out", "--trust"])
     assert sprung.exists()

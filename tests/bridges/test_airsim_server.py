@@ -414,7 +414,8 @@ def test_a_process_that_hangs_is_killed_and_replaced(serve, connect, monkeypatch
     assert "hung" in caplog.text
 
 
-def test_a_start_that_hangs_is_an_error(serve, connect, monkeypatch):
+def test_a_start_that_hangs_is_an_error(serve, connect, draw_by, monkeypatch):
+    draw_by(airsim_drawing.DrawingProcess)
     monkeypatch.setattr(airsim_drawing, "CHILD_PROGRAM", "import time; time.sleep(1e6)")
     monkeypatch.setattr(airsim_drawing, "START_TIMEOUT", 0.2)
     client = connect(serve())

@@ -579,7 +579,8 @@ def test_the_doctor_tells_what_is_missing(monkeypatch, capsys):
     assert found["C extension"].remedy == "no compiler"
     assert found["C extension"].state.startswith("not active")
     assert found["extra video"][:2] == ("extra video", "missing: imageio-ffmpeg")
-    assert found["extra dev"].state == "missing: build, pre-commit, twine, uv, test"
+    tools = "build, cyclonedx-bom, pip-audit, pre-commit, twine, uv, test"
+    assert found["extra dev"].state == f"missing: {tools}"
     assert re.fullmatch(
         r"pip install -c \S+/constraints\.txt -e '\S+\[video\]'", found["extra video"].remedy
     )

@@ -34,6 +34,8 @@ WITHOUT_SCORES = {
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
     """Folder of a tiny run of a task whose settings in the package are of another difficulty."""
+    import stable_baselines3  # noqa: F401 - pytest keeps an ImportError of a fixture, but no exit
+
     folder = tmp_path_factory.mktemp("trained") / "run"
     main(["train", "hover", *OPTIONS, *SHORT, "--out", str(folder)])
     return folder
