@@ -285,8 +285,9 @@ def require_rows(out: Path) -> None:
     """Raise SystemExit if recorded rows were not fetched: tables would be written without them."""
     if out.resolve() != OUT or not MANIFEST.exists():
         return
-    files = (OUT.parents[2] / path for path in json.loads(MANIFEST.read_text())["files"])
-    names = {file.parent.name for file in files if file.name == ROW and not file.exists()}
+    listed = json.loads(MANIFEST.read_text())["files"]
+    folders = [OUT.parents[2] / folder for folder, files in listed.items() if ROW in files]
+    names = {folder.name for folder in folders if not (folder / ROW).exists()}
     if names:
         raise SystemExit(
             f"{len(names)} finished rows are not in {out}, such as {min(names)}: restore them with "

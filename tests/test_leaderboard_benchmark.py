@@ -203,7 +203,9 @@ def test_unknown_rows_are_refused_with_the_nearest(benchmark):
 
 def test_tables_are_not_written_without_recorded_rows(benchmark, tmp_path, monkeypatch):
     out, manifest = tmp_path / "docs" / "results" / "leaderboard", tmp_path / "manifest.json"
-    manifest.write_text('{"files": {"docs/results/leaderboard/rows/hover-random/row.json": {}}}')
+    manifest.write_text(
+        '{"files": {"docs/results/leaderboard/rows/hover-random": {"row.json": []}}}'
+    )
     monkeypatch.setattr(benchmark, "OUT", out)
     monkeypatch.setattr(benchmark, "MANIFEST", manifest)
     with pytest.raises(SystemExit, match="hover-random.*fetch --all"):

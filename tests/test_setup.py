@@ -279,6 +279,14 @@ def test_the_lock_file_names_the_usual_index_alone(locked):
     assert all(one.startswith("https://files.pythonhosted.org/packages/") for one in files)
 
 
+def test_the_lock_file_has_no_wheels_of_other_systems(locked):
+    packages = (one for packages in locked.values() for one in packages)
+    wheels = [one["url"] for package in packages for one in package.get("wheels", [])]
+    others = re.compile(r"-(cp31\dt|cp31[5-9]|win32|win_arm64|musllinux\w+|ios\w+)\b")
+    assert len(wheels) > 1000
+    assert not list(filter(others.search, wheels)), "python tools/lock.py writes it again"
+
+
 @pytest.mark.parametrize(
     ("environment", "expected"),
     [

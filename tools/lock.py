@@ -4,7 +4,8 @@
 
 It needs uv, of the extra `dev`. uv takes no file of constraints for a project. Therefore the
 project is locked twice in a temporary folder: first with the constraints in its settings, and then
-without them, where uv keeps the versions that it finds in the first lock file.
+without them, where uv keeps the versions that it finds in the first lock file. At last wheels are
+left out that no supported Python takes, which halves the file.
 """
 
 import json
@@ -16,6 +17,12 @@ import tempfile
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
+WHEEL = re.compile(r'^    { url = "[^"]*-([\w.]+)-([\w.]+)\.whl"')
+"""Line of a wheel, with its tags of ABI and platform"""
+OTHER_SYSTEMS = ("musllinux", "android", "ios", "pyemscripten")
+ABIS = tuple(f"cp3{minor}" for minor in range(11, 15))
+"""ABIs of Pythons with which the suite is locked; not of those without a global lock"""
+UPLOADED = re.compile(r', upload-time = "[^"]*"')
 FILES = ("pyproject.toml", "setup.cfg", "setup.py", "README.md", "uv.lock")
 
 
@@ -40,6 +47,22 @@ def lock(folder: Path) -> None:
     subprocess.run([sys.executable, "-m", "uv", "lock"], cwd=folder, check=True)
 
 
+def is_usable(line: str) -> bool:
+    """Return False for a wheel that CPython 3.11 to 3.14 on a supported system does not take."""
+    found = WHEEL.match(line)
+    if found is None:
+        return True
+    abi, platform = found.groups()
+    for_python = abi in ("none", "abi3") or abi in ABIS
+    return for_python and not all(one.startswith(OTHER_SYSTEMS) for one in platform.split("."))
+
+
+def shorten(text: str) -> str:
+    """Leave out wheels that are not usable, and the times of uploads."""
+    lines = text.splitlines(keepends=True)
+    return UPLOADED.sub("", "".join(line for line in lines if is_usable(line)))
+
+
 def main() -> None:
     """Lock a copy of the project twice, and keep the lock file."""
     with tempfile.TemporaryDirectory() as name:
@@ -56,7 +79,7 @@ def main() -> None:
         lock(folder)
         project.write_text(settings)
         lock(folder)
-        shutil.copy(folder / "uv.lock", ROOT)
+        (ROOT / "uv.lock").write_text(shorten((folder / "uv.lock").read_text()))
 
 
 if __name__ == "__main__":

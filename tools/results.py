@@ -1,4 +1,4 @@
-"""Pack, fetch and check the raw results: rows of the leaderboard, and trained runs that pages show.
+"""Pack, fetch and check the raw results: rows of tables, and trained runs that pages show.
 
     python tools/results.py fetch crossing-ppo-0 racer
     python tools/results.py fetch --all
@@ -34,11 +34,22 @@ sys.path.insert(0, str(ROOT))
 from bulletuav.version import REPOSITORY  # noqa: E402
 
 MANIFEST = PurePosixPath("docs/results/manifest.json")
+TABLES = (
+    "avoidance",
+    "baselines",
+    "cities",
+    "formation",
+    "learning/hover",
+    "learning/mec",
+    "service",
+)
+"""Tables of `bulletuav compare`, of which the tree has the Markdown and the picture"""
 PLACES = (
     "docs/results/leaderboard/rows",
     "docs/results/leaderboard/leaderboard.csv",
     "docs/results/race/racer",
     "docs/results/cities/streets",
+    *(f"docs/results/{table}/leaderboard.csv" for table in TABLES),
 )
 """Folders and files of raw results"""
 RELEASES = f"{REPOSITORY}/releases/latest/download/"
@@ -56,14 +67,27 @@ def read_manifest(root: Path) -> dict[str, Any]:
         manifest: dict[str, Any] = json.loads((root / MANIFEST).read_text(encoding="utf-8"))
     except FileNotFoundError as error:
         raise ResultsError(f"{root / MANIFEST} does not exist") from error
+    manifest["files"] = {
+        f"{folder}/{name}": {"size": size, "sha256": sha256}
+        for folder, files in manifest["files"].items()
+        for name, (size, sha256) in files.items()
+    }
     return manifest
 
 
 def write_manifest(root: Path, manifest: dict[str, Any]) -> None:
-    """Write the manifest with one line per file, so that changes can be read."""
-    lines = [f"  {json.dumps(path)}: {json.dumps(one)}" for path, one in manifest["files"].items()]
+    """Write the manifest by folders, with one line per file, so that changes can be read."""
+    folders: dict[str, list[str]] = {}
+    for path, one in manifest["files"].items():
+        folder, _, name = path.rpartition("/")
+        line = f"   {json.dumps(name)}: {json.dumps([one['size'], one['sha256']])}"
+        folders.setdefault(folder, []).append(line)
+    parts = [
+        f"  {json.dumps(folder)}: {{\n" + ",\n".join(lines) + "\n  }"
+        for folder, lines in folders.items()
+    ]
     head = [f" {json.dumps(name)}: {json.dumps(manifest[name])}" for name in ("commit", "archive")]
-    head.append(' "files": {\n' + ",\n".join(lines) + "\n }")
+    head.append(' "files": {\n' + ",\n".join(parts) + "\n }")
     (root / MANIFEST).write_text("{\n" + ",\n".join(head) + "\n}\n", encoding="utf-8")
 
 

@@ -5,7 +5,6 @@ repository. `python docs/_ext/site_reference.py` writes them without building th
 """
 
 import ast
-import csv
 import dataclasses
 import importlib
 import inspect
@@ -102,40 +101,62 @@ def task_page(name: str) -> str:
 
 def rates(task: str, baseline: str) -> Iterator[str]:
     """Write the table of success rates of a task, if results of it were measured."""
-    rows = [row for name in MEASURED for row in _read(RESULTS / name / "leaderboard.csv")]
-    found = [row for row in rows if row["task"] == task and row["metric"] == "drone_success"]
+    files = [RESULTS / name / "leaderboard.md" for name in MEASURED]
+    found = [row for path in files for row in read_leaderboard(path) if row["task"] == task]
     if not found:
         return
+    # With several dynamics, the last one has the most forces.
+    dynamics = found[-1]["dynamics"]
+    found = [row for row in found if row["dynamics"] == dynamics]
     levels = list(dict.fromkeys(row["difficulty"] for row in found))
-    policies = dict.fromkeys(row["policy"] for row in found)
-    values = {(row["policy"], row["difficulty"]): row for row in found}
+    policies = {row["policy"]: row["reads"] for row in found}
+    values = {(row["policy"], row["difficulty"]): row["drones"] for row in found}
     lines = []
-    for policy in policies:
-        own = [values.get((policy, level)) for level in levels]
-        reads = next(row["reads_swarm"] == "True" for row in own if row)
-        shown = [
-            f"{float(row['mean']):.2f} [{float(row['low']):.2f}, {float(row['high']):.2f}]"
-            if row
-            else ""
-            for row in own
-        ]
+    for policy, reads in policies.items():
+        shown = [values.get((policy, level), "") for level in levels]
         mark = " (baseline)" if policy == baseline else ""
-        lines.append([f"`{policy}`{mark}", "true state" if reads else "observation", *shown])
-    first = found[0]
+        lines.append([f"`{policy}`{mark}", reads, *shown])
+    episodes = found[0]["episodes"]
     yield "## Measured rates"
     yield (
-        f"Fraction of drones that succeed, with a 95 % confidence interval: {first['episodes']} "
-        f"episodes, dynamics `{first['dynamics']}`. Make the table again with "
+        f"Fraction of drones that succeed, with a 95 % confidence interval: {episodes} "
+        f"episodes, dynamics `{dynamics}`. Make the table again with "
         f"`bulletuav compare {task} --policies {','.join(policies)} "
-        f"--difficulties {','.join(levels)} --dynamics {first['dynamics']} "
-        f"--episodes {first['episodes']}`."
+        f"--difficulties {','.join(levels)} --dynamics {dynamics} --episodes {episodes}`."
     )
     yield rows_table(["policy", "reads", *levels], lines)
 
 
-def _read(path: Path) -> list[dict[str, str]]:
-    with path.open(newline="", encoding="utf-8") as file:
-        return list(csv.DictReader(file))
+def read_leaderboard(path: Path) -> Iterator[dict[str, str]]:
+    """Read a leaderboard of `bulletuav compare`, as Markdown.
+
+    Args:
+        path: The file.
+
+    Yields:
+        A dict for each row: its cells by the names of their columns, and "task", "difficulty",
+        "dynamics", "episodes" and "reads".
+    """
+    for part in re.split(r"(?m)^## ", path.read_text(encoding="utf-8"))[1:]:
+        title, head, _, *lines = (line for line in part.splitlines() if line)
+        task, difficulty, _, dynamics, *_, episodes, _ = title.replace(":", ",").split(", ")
+        columns = _cells(head)
+        for line in lines:
+            row = dict(zip(columns, _cells(line), strict=True))
+            policy, _, mark = row["policy"].partition(" ")
+            yield {
+                **row,
+                "task": task,
+                "difficulty": difficulty,
+                "dynamics": row.get("dynamics", dynamics).split()[0],
+                "episodes": episodes.split()[0],
+                "policy": policy,
+                "reads": "true state" if mark else "observation",
+            }
+
+
+def _cells(line: str) -> list[str]:
+    return [cell.strip() for cell in line.strip("| ").split("|")]
 
 
 def tasks_index() -> str:
