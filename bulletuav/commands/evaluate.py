@@ -34,6 +34,8 @@ SCORES = ("success", "conflict", "collision", "completed", "return")
 """Metrics in the one-line score"""
 EPISODES = 100
 """Default number of episodes"""
+MIN_SECONDS = 10.0
+"""Minimum wall time for a speed, s; the start of the processes dominates shorter times"""
 
 
 def run(arguments: argparse.Namespace) -> None:
@@ -217,8 +219,7 @@ def _describe_speed(result: Evaluation) -> str:
     """Return a text with the speed of the simulation relative to real time."""
     if not result.flight:
         return "all episodes were already in the folder"
-    pace = result.flight / result.seconds
-    return (
-        f"{result.flight:.0f} s of simulated flight in {result.seconds:.1f} s of wall time: "
-        f"{pace:.1f} x real time"
-    )
+    text = f"{result.flight:.0f} s of simulated flight in {result.seconds:.1f} s of wall time"
+    if result.seconds < MIN_SECONDS:
+        return text
+    return f"{text}: {result.flight / result.seconds:.1f} x real time"

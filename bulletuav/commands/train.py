@@ -3,7 +3,7 @@
 import argparse
 import dataclasses
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -38,6 +38,7 @@ from bulletuav.training.store import (
     UPDATES,
     Row,
     evaluation_conditions,
+    planned_steps,
     training_conditions,
 )
 
@@ -165,6 +166,7 @@ def _train_one(arguments: argparse.Namespace, config: RunConfig) -> None:
     default = Path("training") / f"{config.task}-{config.algo}-{config.seed}"
     out = make_out_folder(arguments.out or default)
     print_conditions(f"in training: {training_conditions(config)}")
+    _print_rounded([config])
     with show_progress(f"training {config.task}", config.steps, "steps") as report:
         mlflow = arguments.mlflow
         rows = with_resume_hint(out, lambda: train(config, out, report, report.note, mlflow))
@@ -185,6 +187,7 @@ def _train_several(arguments: argparse.Namespace, configs: list[RunConfig]) -> N
     campaign = Campaign(runs, out / "runs", arguments.mlflow)
     for conditions in dict.fromkeys(map(evaluation_conditions, runs)):
         print_conditions(f"evaluations in training: {conditions}")
+    _print_rounded(configs)
     with show_progress(f"training {len(runs)} runs", campaign.total, "steps") as report:
         workers = arguments.workers
         learned = with_resume_hint(out, lambda: campaign.train(workers, report, report.note))
@@ -216,6 +219,17 @@ def with_resume_hint(out: Path, work: Callable[[], Result]) -> Result:
 def print_conditions(text: str) -> None:
     """Print the conditions of the progress reports on standard error."""
     print(text, file=sys.stderr)
+
+
+def _print_rounded(configs: Sequence[RunConfig]) -> None:
+    """Print the steps of runs that do more than their settings ask for, on standard error."""
+    for config in configs:
+        planned = planned_steps(config)
+        if planned != config.steps:
+            print_conditions(
+                f"{config.task}, {config.algo}: {config.steps:,} steps are rounded up to whole "
+                f"rollouts, {planned:,} decisions of all drones"
+            )
 
 
 def _finish(

@@ -264,10 +264,23 @@ def _from_run(folder: Path, name: str, trust: bool) -> PolicySpec:
     actions: tuple[str, ...] = (config.action,)
     if not path.is_file() and (folder / OLD_MODEL).is_file():
         spec = _trusted(folder / OLD_MODEL, name, config.algo, trust)
+    elif not path.exists() and (folder / CHECKPOINTS).is_dir():
+        raise FileNotFoundError(_describe_unfinished(folder))
     else:
         spec = _from_file(name, path, lambda aviary: Trained(aviary, config, path))
         actions = actions_given(config.action)
     return spec._replace(actions=actions, options=config.interface)
+
+
+def _describe_unfinished(folder: Path) -> str:
+    """Return a text about a run without a final policy: how to resume it, or use a checkpoint."""
+    names = (path.parent for path in (folder / CHECKPOINTS).glob(f"*/{POLICY}"))
+    saved = sorted(names, key=lambda path: (len(path.name), path))
+    other = f", or use its last checkpoint, {saved[-1]}" if saved else ""
+    return (
+        f"the run {folder} is not finished, it has no {POLICY}: resume it by "
+        f"bulletuav train --config {folder / CONFIG} --out {folder}{other}"
+    )
 
 
 def _from_model(source: str, algorithm: str, file: str, trust: bool) -> PolicySpec:

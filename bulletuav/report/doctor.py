@@ -25,6 +25,8 @@ WITHOUT_BULLET = (
     "not installed: dynamics, rays and contacts 'bullet', the observations 'rgb', 'depth' and "
     f"'segmentation', and rendered pictures are not available; the default is {DEFAULT_DYNAMICS}"
 )
+EXTRA = "extra "
+"""Prefix of the subjects of extras"""
 SLOW_ENGINE = "not active, bullet flies several times slower"
 
 
@@ -132,7 +134,7 @@ def _extra(extra: str, needed: dict[str, list[str]], joined: dict[str, list[str]
         needed: Packages of each extra.
         joined: Extras that each extra includes.
     """
-    subject = f"extra {extra}"
+    subject = EXTRA + extra
     versions = {package: _version(package) for package in needed[extra]}
     absent = [package for package, version in versions.items() if version is None]
     lacking = [part for part in joined[extra] if _extra(part, needed, joined).remedy]

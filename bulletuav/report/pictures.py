@@ -33,6 +33,8 @@ MIN_VARIATION = 1e-9
 """Range up to which values count as constant"""
 OVERVIEW = (840, 640)
 """Size of the 3-D picture, pixels"""
+LEGEND_DISTANCE = 4.5
+"""Distance of the legend from the axis, in font sizes: below tick labels and axis label"""
 MAX_PANEL_ROWS = 3
 """Maximum number of panels in a column"""
 SHARED_COLOUR = "0.2"
@@ -99,7 +101,9 @@ def plot_tracks(
     _mark_contacts(above, recording)
     # A legend only if there are labelled marks.
     if above.get_legend_handles_labels()[0]:
-        above.legend(loc="upper center", bbox_to_anchor=(0.5, -0.1), ncols=4)
+        above.legend(
+            loc="upper center", bbox_to_anchor=(0.5, 0), borderaxespad=LEGEND_DISTANCE, ncols=4
+        )
     above.set(title=title, xlabel="x east (m)", ylabel="y north (m)", aspect="equal")
     for axes in places:
         axes.set(xlabel="time (s)")

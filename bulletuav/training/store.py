@@ -17,11 +17,12 @@ from typing import Any
 
 from bulletuav.analysis.conditions import Conditions
 from bulletuav.engine.calls import HAS_BULLET
+from bulletuav.envs.options import EnvOptions
 from bulletuav.envs.resolve_options import resolve_options
 from bulletuav.errors import read_file, reason_of, shown
 from bulletuav.files import replace_file, whole_file
 from bulletuav.parsing import read_json
-from bulletuav.policies.run import CHECKPOINTS, CONFIG, MODULE_NAME, POLICY, RunConfig
+from bulletuav.policies.run import CHECKPOINTS, CONFIG, MODULE_NAME, POLICY, RunConfig, whole_number
 from bulletuav.tasks import find_task
 
 EVALUATION_SEED = 1_000_000
@@ -224,14 +225,37 @@ def training_conditions(config: RunConfig) -> str:
     Args:
         config: Settings of the run, whose stages may have several difficulties or dynamics.
     """
-    task = find_task(config.task)
-    stages = [resolve_options(task, {**config.options, **stage}).options for stage in config.stages]
+    task, stages = find_task(config.task), _stage_options(config)
     difficulty = ", then ".join(dict.fromkeys(stage.difficulty for stage in stages))
     dynamics = ", then ".join(dict.fromkeys(stage.dynamics_name for stage in stages))
     return (
         f"{task.name}, difficulty {difficulty}, dynamics {dynamics}, the last {RECENT} training "
         f"episodes of seed {config.seed}, by the stochastic policy while it learns"
     )
+
+
+def _stage_options(config: RunConfig) -> list[EnvOptions]:
+    """Return the options of the environment in each stage of a run."""
+    task = find_task(config.task)
+    return [resolve_options(task, {**config.options, **stage}).options for stage in config.stages]
+
+
+def planned_steps(config: RunConfig) -> int:
+    """Return the number of steps of a run: the steps of its settings, rounded up to whole rollouts.
+
+    Args:
+        config: Settings of the run. If rollouts end with episodes, their length is not known, and
+            its steps are returned.
+    """
+    settings = config.settings
+    length = whole_number(settings.get("n_steps", settings.get("train_freq")))
+    if isinstance(length, list | tuple):  # such as [4, "step"]
+        length = length[0] if list(length[1:]) == ["step"] else None
+    # Invalid lengths are reported by the training
+    if not isinstance(length, int) or length < 1:
+        return config.steps
+    rollout = length * config.worlds * max(stage.num_drones for stage in _stage_options(config))
+    return -(-config.steps // rollout) * rollout
 
 
 def _table(rows: Sequence[Mapping[str, object]]) -> str:

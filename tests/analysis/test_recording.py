@@ -316,6 +316,26 @@ def test_contacts_are_crosses_in_pictures(flown, tmp_path, monkeypatch):
     assert "start of conflict" in free
 
 
+@pytest.mark.parametrize("ratio", [0.02, 1.0, 20.0])
+def test_the_legend_of_tracks_covers_nothing(flown, ratio, tmp_path, monkeypatch):
+    """However flat the view from above is."""
+    _, recording, _ = flown
+    drawn = []
+    monkeypatch.setattr(pictures, "save_figure", lambda figure, path: drawn.append(figure))
+    stretched = {
+        name: getattr(recording, name) * np.array([1.0, ratio, 1.0])
+        for name in ("position", "goal", "obstacle", "contact_point")
+    }
+    plot_tracks(dataclasses.replace(recording, **stretched), 5.0, "flat", tmp_path / "flat.png")
+    (figure,) = drawn
+    figure.draw_without_rendering()
+    above = figure.axes[0]
+    legend = above.get_legend().get_window_extent()
+    assert not legend.overlaps(above.xaxis.get_tightbbox())
+    assert not legend.overlaps(above.get_window_extent())
+    assert legend.y0 >= 0
+
+
 def test_pictures_are_drawn(flown, tmp_path):
     _, recording, _ = flown
     plot_tracks(recording, 5.0, "title", tmp_path / "tracks.png")

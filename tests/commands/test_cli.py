@@ -559,6 +559,20 @@ def test_the_doctor_tells_what_is_active(capsys, monkeypatch):
     ].state == "not available"
 
 
+def test_the_doctor_prints_problems_first(capsys, monkeypatch):
+    findings = [doctor.Finding("numpy", "2.4"), doctor.Finding("extra ray", "missing", "get ray")]
+    found = [*findings, doctor.Finding("C extension", "not active", "get a compiler")]
+    monkeypatch.setattr("bulletuav.commands.doctor.examine", lambda: found)
+    main(["doctor"])
+    first, *others = capsys.readouterr().out.splitlines()
+    assert first == "problems: C extension; extras not installed: ray"
+    assert others[:2] == ["extra ray: get ray", "C extension: get a compiler"]
+    assert any("numpy" in line for line in others[2:])
+    monkeypatch.setattr("bulletuav.commands.doctor.examine", lambda: found[:1])
+    main(["doctor"])
+    assert capsys.readouterr().out.startswith("no problems; extras not installed: none\n")
+
+
 def test_the_doctor_lists_versions_and_parts_of_extras():
     import stable_baselines3
 

@@ -1,6 +1,8 @@
+import dataclasses
 import json
 import re
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -8,6 +10,7 @@ from bulletuav.cli import _parser, main
 from bulletuav.commands import train
 from bulletuav.policies.run import RunConfig, shipped, shipped_tasks
 from bulletuav.training.campaign import Campaign
+from bulletuav.training.store import planned_steps
 
 TINY = [
     "--steps",
@@ -89,6 +92,66 @@ def test_an_interrupt_tells_how_to_go_on(tmp_path, capsys, monkeypatch):
         main(["train", "obstacles", *TINY, "--out", "run"])
     assert end.value.code == 130
     assert "the same command resumes from the last checkpoint in run" in capsys.readouterr().err
+
+
+def test_evaluating_an_interrupted_run_reports_what_to_do(tmp_path, capsys, monkeypatch):
+    """Before its first checkpoint, and after it."""
+    monkeypatch.chdir(tmp_path)
+    main(["train", "obstacles", *TINY, "--out", "run"])
+    (tmp_path / "run" / "policy.safetensors").unlink()
+
+    def error():
+        capsys.readouterr()
+        with pytest.raises(SystemExit):
+            main(["evaluate", "run"])
+        return capsys.readouterr().err
+
+    resume = "resume it by bulletuav train --config run/run.yaml --out run"
+    assert f"{resume}, or use its last checkpoint, run/checkpoints/001" in error()
+    main(["evaluate", "run/checkpoints/001"])
+    for folder in ("000", "001"):
+        (tmp_path / "run" / "checkpoints" / folder / "policy.safetensors").unlink()
+    message = error()
+    assert resume in message
+    assert "use its last checkpoint" not in message
+
+
+@pytest.mark.parametrize(
+    ("algo", "settings", "planned"),
+    [
+        ("ppo", ["n_steps=8", "batch_size=32"], 64),
+        ("sac", ["train_freq=3", "learning_starts=100", "batch_size=8"], 48),
+        ("sac", ["train_freq=[3,'step']", "learning_starts=100", "batch_size=8"], 48),
+    ],
+)
+def test_rounded_steps_are_printed(algo, settings, planned, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    models = [word for one in settings for word in ("--model", one)]
+    words = ["train", "obstacles", "--algo", algo, *TINY[:-4], "--set", "observation=goal", *models]
+    main([*words, "--steps", "40", "--out", "run"])
+    printed = capsys.readouterr().err
+    assert f"40 steps are rounded up to whole rollouts, {planned} decisions" in printed
+    names, *_, last = (tmp_path / "run" / "curve.csv").read_text().splitlines()
+    row = dict(zip(names.split(","), last.split(","), strict=True))
+    assert float(row["steps"]) == planned
+    config = RunConfig.read(tmp_path / "run" / "run.yaml")
+    assert planned_steps(dataclasses.replace(config, steps=planned)) == planned
+
+
+def test_steps_of_rollouts_of_unknown_length_stay_as_they_are():
+    for value in ([1, "episode"], 0, "many"):
+        config = RunConfig("obstacles", "sac", steps=41, model={"train_freq": value})
+        assert planned_steps(config) == 41
+
+
+def test_the_page_on_training_lists_the_files_of_a_run(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    main(["train", "obstacles", *TINY, "--out", "run"])
+    page = (Path(__file__).parents[2] / "docs" / "howto" / "train.md").read_text()
+    files = {path.name for path in (tmp_path / "run").iterdir()}
+    assert {"lock", "state.json", "curve.csv"} <= files
+    rows = "\n".join(line for line in page.splitlines() if line.startswith("|"))
+    assert {name for name in files if f"`{name}" not in rows} == set()
 
 
 class OneProcess(Campaign):

@@ -2,12 +2,13 @@
 
 import csv
 import re
+import types
 
 import pytest
 from inline import no_processes
 
 from bulletuav.cli import COMMANDS, _parser, main
-from bulletuav.commands import train
+from bulletuav.commands import evaluate, train
 from bulletuav.policies.run import RunConfig, shipped_tasks
 from bulletuav.training import campaign
 from bulletuav.training import study as studies
@@ -193,3 +194,12 @@ def require_conditions(path, expected):
     for row in rows:
         assert [row[name] for name in ("task", "difficulty", "dynamics", "seed")] == expected
         assert int(row["episodes"]) <= 2  # those that have the metric
+
+
+def test_short_evaluations_print_no_speed():
+    """The start of the processes dominates their time."""
+    result = types.SimpleNamespace(flight=600.0, seconds=2.0)
+    short = evaluate._describe_speed(result)
+    assert short == "600 s of simulated flight in 2.0 s of wall time"
+    result.seconds = 60.0
+    assert evaluate._describe_speed(result).endswith("60.0 s of wall time: 10.0 x real time")

@@ -2,6 +2,7 @@
 
 import inspect
 import re
+from dataclasses import dataclass
 
 import pytest
 
@@ -15,7 +16,7 @@ from bulletuav.commands.task_description import (
     reward_table,
 )
 from bulletuav.envs.env_spec import EnvSpec
-from bulletuav.tasks import find_task
+from bulletuav.tasks import TaskConfig, find_task
 from bulletuav.tasks.ends import leaves_arena
 
 TASKS = bulletuav.list_tasks()
@@ -105,6 +106,30 @@ def test_options_are_told_by_the_nearest_class():
     assert described["boundary"].startswith("Behaviour at the bounds, by default")
     assert described["contact_ends"].endswith('or of its whole "world".')
     assert "d_safe" in described
+
+
+def test_own_tasks_describe_inherited_options():
+    """Also those whose default they change, with and without a docstring of their own."""
+
+    @dataclass(frozen=True)
+    class Bare(TaskConfig):
+        d_safe: float = 3.0
+
+    @dataclass(frozen=True)
+    class Documented(Bare):
+        """Options.
+
+        Attributes:
+            size: Size, m.
+        """
+
+        d_safe: float = 4.0
+        size: float = 1.0
+
+    usual = option_texts(TaskConfig)
+    assert usual["d_safe"].startswith("Separation below which")
+    assert option_texts(Bare) == usual
+    assert option_texts(Documented) == {**usual, "size": "Size, m."}
 
 
 def test_bases_are_not_printed(printed):

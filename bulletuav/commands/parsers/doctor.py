@@ -5,7 +5,7 @@ import argparse
 ABOUT = {
     "help": "print versions, and what is installed, active or missing",
     "description": (
-        "Print the versions, whether the C extension is active, and how to install what is missing."
+        "Print a summary and how to install missing parts, then all versions and active features."
     ),
     "epilog": """example:
   bulletuav doctor""",

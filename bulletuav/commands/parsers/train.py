@@ -79,7 +79,9 @@ def add_run(parser: argparse.ArgumentParser) -> None:
     # Algorithm
     parser.add_argument("--algo", help=_algorithms)
     parser.add_argument(
-        "--steps", type=parse_count, help="total decisions of all drones, such as 2e6"
+        "--steps",
+        type=parse_count,
+        help="total decisions of all drones, such as 2e6; rounded up to whole rollouts",
     )
     parser.add_argument(
         "--seed", type=int, help="random seed; equal seeds give equal weights (default: 0)"
