@@ -4,8 +4,8 @@
 
 It needs uv, of the extra `dev`. uv takes no file of constraints for a project. Therefore the
 project is locked twice in a temporary folder: first with the constraints in its settings, and then
-without them, where uv keeps the versions that it finds in the first lock file. At last wheels are
-left out that no supported Python takes, which halves the file.
+without them, where uv keeps the versions that it finds in the first lock file. Finally it removes
+wheels that no supported Python can install, which halves the file.
 """
 
 import json
