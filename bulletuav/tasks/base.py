@@ -20,10 +20,11 @@ from bulletuav.tasks.ingredients import Binding, Bound, BoundTerms, find_term, n
 from bulletuav.tasks.observations.base import Block
 from bulletuav.tasks.parts import base as part_base
 from bulletuav.tasks.parts.base import Part
+from bulletuav.tasks.parts.safety import Safety
 
 DEFAULT_SHOWS: Mapping[str, str] = MappingProxyType(
     {
-        "success": "reached",
+        "success": "success",
         "separation": "nearest (m)",
         "conflicts": "conflicts",
         "collision": "collisions",
@@ -91,17 +92,24 @@ class Task(ABC, Generic[ConfigT]):
         reward: Weight of each reward term by name, or (term, weight). Names refer to the registry
             of rewards.
         ends: Conditions that terminate a drone's episode.
-        success: Condition under which a drone counts as successful.
+        success: Condition under which a drone counts as successful, if it was safe (`safety`).
         events: Names of the arrays that `terminated` writes to `Frame.derived` for reward terms.
         computed_terms: Names of the terms that `compute_terms` computes from the other terms.
         has_goals: Whether drones have goals, as `goal_distance` reports. If False, `Scene.goal` is
             unused.
         shows: Infos that tables and pictures of a flight show, with their captions.
         baseline: Policy that flies the task when none is named.
+        oracle: Policy that knows the whole state and shows that a difficulty can be done; the
+            baseline if empty.
+        shirkers: Policies that try to be paid in this task without doing it; see
+            `bulletuav.analysis.incentives`.
+        is_game: Whether teams play against each other, so that safety is part of the game.
         places: Positions that users may set: "start", "goal".
         rebound: Coefficient of restitution at the arena's bounds: the fraction of the normal speed
             that is kept, reversed. None if drones can cross the bounds.
         parts: Parts of the task, in the order of `add`.
+        safety: Part that counts conflicts and collisions, which rule out success; None if success
+            does not depend on them.
         num_targets: Number of target points that drones are to see.
         zone: Separation at which the warning zone around a drone ends, m.
         arena_low: (3,) lower corner of the arena, which also bounds observed positions, m.
@@ -129,12 +137,16 @@ class Task(ABC, Generic[ConfigT]):
     events: ClassVar[tuple[str, ...]] = ()
     computed_terms: ClassVar[tuple[str, ...]] = ()
     baseline: ClassVar[str] = "straight"
+    oracle: ClassVar[str] = ""
+    shirkers: ClassVar[tuple[str, ...]] = ()
+    is_game: ClassVar[bool] = False
     places: ClassVar[tuple[str, ...]] = ()
     has_goals: ClassVar[bool] = True
     shows: ClassVar[Mapping[str, str]] = DEFAULT_SHOWS
 
     team_names: ClassVar[tuple[str, ...]] = ()
 
+    safety: Safety | None = None
     rebound: float | None = None
     speed_limit: np.ndarray | None = None
     num_targets: int = 0
@@ -456,7 +468,10 @@ class Task(ABC, Generic[ConfigT]):
         return ended
 
     def succeeded(self, frame: Frame) -> np.ndarray:
-        """Return which drones are successful, (W, N) bool; by default where `success` holds."""
+        """Return which drones do the task, (W, N) bool; by default where `success` holds.
+
+        They are successful if they were safe, too: see `safety`.
+        """
         if self.bound.success is None:
             return np.zeros(frame.alive.shape, dtype=bool)
         return self.bound.success(frame)
@@ -494,6 +509,8 @@ class Task(ABC, Generic[ConfigT]):
         The method does not modify the world, so it may be called twice.
         """
         terminated, success = self.terminated(frame), self.succeeded(frame)
+        if self.safety is not None:
+            success = success & self.safety.is_safe(frame)
         return StepResult(self.reward_terms(frame), terminated, success)
 
 

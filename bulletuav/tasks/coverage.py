@@ -17,6 +17,7 @@ from bulletuav.tasks.parts.city_layouts import CityOptions, add_city, ground_cel
 from bulletuav.tasks.parts.difficulties import URBAN_DIFFICULTIES
 from bulletuav.tasks.parts.obstacle_field import ObstacleField, ObstacleOptions
 from bulletuav.tasks.parts.presets import URBANMARL_COVERAGE
+from bulletuav.tasks.parts.safety import Safety
 from bulletuav.tasks.parts.urban import URBAN_DEFAULTS, check_fraction
 from bulletuav.tasks.rewards.users import served
 from bulletuav.tasks.targets import compute_seen_fraction, get_served_fraction
@@ -83,11 +84,13 @@ class Coverage(Task[CoverageConfig]):
     End: terminated on contact, when the battery is empty, and outside the city's square or above
     its ceiling. Truncated after 300 decisions.
 
-    Success: 90 % of the squares are covered, at easy 75 %.
+    Success: 90 % of the squares are covered, at easy 75 %, and the drone had no conflict or
+    collision in the episode.
 
     Preset urbanmarl: sizes and rates of UrbanMARL 0.3.1 (docs/explanation/radio_and_edge.md).
     """
 
+    version = 2
     name = "coverage"
     defaults: ClassVar = {**URBAN_DEFAULTS, "horizon": 300}
     difficulties: ClassVar = {
@@ -120,6 +123,7 @@ class Coverage(Task[CoverageConfig]):
         """
         super().__init__(config, context)
         self.add(ObstacleField(self))
+        self.safety = self.add(Safety(context.num_drones))
         self.city_layouts = add_city(self)
         check_fraction("wanted", config.wanted)
         self._check_cell()

@@ -64,7 +64,7 @@ class Crossing(GoalFlight[CrossingConfig]):
     End: terminated within 2 m of the goal, on contact, when the battery is empty, or outside the
     arena. Truncated after 500 decisions.
 
-    Success: the goal is reached.
+    Success: the goal is reached, without conflict or collision in the episode.
 
     Preset uavconflict: sizes, observation and reward constants of UAVConflictGym.
     """

@@ -19,6 +19,7 @@ from bulletuav.tasks.parts.city_layouts import CityOptions, add_city
 from bulletuav.tasks.parts.difficulties import URBAN_DIFFICULTIES
 from bulletuav.tasks.parts.obstacle_field import ObstacleField, ObstacleOptions
 from bulletuav.tasks.parts.presets import URBANMARL_DEFAULT
+from bulletuav.tasks.parts.safety import Safety
 from bulletuav.tasks.parts.urban import URBAN_DEFAULTS, StreetOptions
 
 
@@ -99,11 +100,12 @@ class Default(Task[DefaultConfig]):
     End: terminated within 5 m of the goal, on contact, when the battery is empty, or outside the
     city's square or above its ceiling. Truncated after 600 decisions.
 
-    Success: the goal is reached.
+    Success: the goal is reached, without conflict or collision in the episode.
 
     Preset urbanmarl: sizes and rates of UrbanMARL 0.3.1 (docs/explanation/radio_and_edge.md).
     """
 
+    version = 2
     name = "default"
     presets: ClassVar = {"urbanmarl": URBANMARL_DEFAULT}
     defaults: ClassVar = {**URBAN_DEFAULTS, "horizon": 600}
@@ -129,6 +131,7 @@ class Default(Task[DefaultConfig]):
         """
         super().__init__(config, context)
         self.add(ObstacleField(self))
+        self.safety = self.add(Safety(context.num_drones))
         self.city_layouts = add_city(self)
 
     def spawn(self, rng: np.random.Generator) -> Spawn:

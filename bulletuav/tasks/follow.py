@@ -16,6 +16,7 @@ from bulletuav.tasks.ends import at_goal, collision, too_far
 from bulletuav.tasks.frame import Scene, Spawn, TaskContext
 from bulletuav.tasks.ingredients import reward
 from bulletuav.tasks.parts.base import Rngs
+from bulletuav.tasks.parts.safety import Safety
 from bulletuav.tasks.rewards.station import speed_to_goal
 from bulletuav.tasks.starts import check_overlap, check_start_distance
 
@@ -121,9 +122,10 @@ class Follow(Task[FollowConfig]):
     End: terminated on any contact of collision shapes, or farther than 40 m from the station.
     Truncated after 300 decisions.
 
-    Success: the drone is within 1 m of its station.
+    Success: the drone is within 1 m of its station, without conflict or collision in the episode.
     """
 
+    version = 2
     name = "follow"
     defaults: ClassVar = {
         "num_drones": 1,
@@ -162,6 +164,7 @@ class Follow(Task[FollowConfig]):
                 together, or drones could start touching the target or the ground.
         """
         super().__init__(config, context)
+        self.safety = self.add(Safety(context.num_drones))
         target = find_choice("target", config.target, TARGETS)
         self._body = target.body
         self._height = target.height
@@ -208,8 +211,8 @@ class Follow(Task[FollowConfig]):
         return (self._body,)
 
     def memory(self) -> Mapping[str, tuple[int, ...]]:
-        """Return the shape of "course" (), the course that the target's heading follows, rad."""
-        return {"course": ()}
+        """Return the shapes of "course" (), the course of the target, rad, and of `Safety`."""
+        return {**super().memory(), "course": ()}
 
     def spawn(self, rng: np.random.Generator) -> Spawn:
         """Draw the target's heading at the origin, and starts at rest near the stations."""

@@ -73,7 +73,7 @@ class Formation(GoalFlight[FormationConfig]):
     End: terminated on contact, when the battery is empty, or outside the arena. Truncated after 500
     decisions; extreme has 1,000.
 
-    Success: the drone is at its place.
+    Success: the drone is at its place, without conflict or collision in the episode.
 
     Infos: `formation_error` is the root mean square of the active drones' distances from their
     places. `shape_error` is the residual after the optimal translation and rotation of the shape.

@@ -18,6 +18,7 @@ from bulletuav.tasks.parts.draws import get_random_source
 from bulletuav.tasks.parts.headings import draw_velocities
 from bulletuav.tasks.parts.obstacle_field import ObstacleField, ObstacleOptions
 from bulletuav.tasks.parts.presets import UAVCONFLICT
+from bulletuav.tasks.parts.safety import Safety
 from bulletuav.tasks.rewards.airspace import (
     sum_obstacle_nearness,
     update_encounters,
@@ -156,7 +157,7 @@ class GoalFlight(Task[FlightConfigT], Generic[FlightConfigT]):
     conflict does not end the episode. Options change each of these conditions. Truncated after 500
     decisions unless the difficulty says otherwise.
 
-    Success: the goal is reached.
+    Success: the goal is reached, without conflict or collision in the episode.
 
     Uncertainty, by difficulty:
 
@@ -173,6 +174,7 @@ class GoalFlight(Task[FlightConfigT], Generic[FlightConfigT]):
         respawns: Whether drones that reach their goals get new ones.
     """
 
+    version = 2
     defaults: ClassVar = {
         "num_drones": 8,
         "airframe": "hummingbird",
@@ -205,6 +207,7 @@ class GoalFlight(Task[FlightConfigT], Generic[FlightConfigT]):
         """
         super().__init__(config, context)
         self.field = self.add(ObstacleField(self))
+        self.safety = self.add(Safety(context.num_drones))
         at_goal: str = config.at_goal  # tasks in cities have "respawn", too
         self.respawns = at_goal == "respawn"
         if self.respawns:

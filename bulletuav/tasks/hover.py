@@ -18,6 +18,7 @@ from bulletuav.tasks.given import PLACES
 from bulletuav.tasks.ingredients import end, reward
 from bulletuav.tasks.parts.base import Rngs
 from bulletuav.tasks.parts.draws import scale_to_range
+from bulletuav.tasks.parts.safety import Safety
 from bulletuav.tasks.starts import check_start_distance
 
 SQRT_3 = math.sqrt(3.0)
@@ -134,12 +135,14 @@ class Hover(Task[HoverConfig]):
     End: terminated on any contact of collision shapes, or farther than 20 m from the target.
     Truncated after 240 decisions.
 
-    Success: the drone is within 0.1 m of its target; with `land` it also stands on the ground.
+    Success: the drone is within 0.1 m of its target, without conflict or collision in the episode;
+    with `land` it also stands on the ground.
 
     Preset hover_aviary: cf2x, 240 Hz physics, 30 Hz decisions, 240 decisions and action
     `hover_rpm`, as in gym-pybullet-drones.
     """
 
+    version = 2
     name = "hover"
     defaults: ClassVar = {
         "num_drones": 1,
@@ -204,6 +207,7 @@ class Hover(Task[HoverConfig]):
             ValueError: If starts could overlap each other or the ground.
         """
         super().__init__(config, context)
+        self.safety = self.add(Safety(context.num_drones))
         if config.land and config.take_off:
             raise ValueError(
                 "land and take_off are both on: choose one, as drones would start at their targets"

@@ -45,7 +45,8 @@ class Los(UserService[LosConfig]):
     End: terminated on contact, when the battery is empty, and outside the city's square or above
     its ceiling. Truncated after 300 decisions.
 
-    Success: 90 % of the users are seen by at least one drone.
+    Success: 90 % of the users are seen by at least one drone, and the drone itself had no conflict
+    or collision in the episode.
 
     Preset urbanmarl: sizes and rates of UrbanMARL 0.3.1 (docs/explanation/radio_and_edge.md).
     """

@@ -47,7 +47,8 @@ class MobileUsers(UserService[MobileUsersConfig]):
     End: terminated on contact of collision shapes and when the battery is empty. Truncated after
     100 decisions. Drones stop at the city's edges and at the ceiling.
 
-    Success: 90 % of the users are seen by at least one drone.
+    Success: 90 % of the users are seen by at least one drone, and the drone itself had no conflict
+    or collision in the episode.
 
     Preset urbanmarl: sizes and rates of UrbanMARL 0.3.1 (docs/explanation/radio_and_edge.md).
     """

@@ -48,7 +48,7 @@ class Navigation(GoalFlight[NavigationConfig]):
     End: terminated within 2 m of the goal, on contact, when the battery is empty, or outside the
     city's square or above its ceiling. Truncated after 600 decisions.
 
-    Success: the goal is reached.
+    Success: the goal is reached, without conflict or collision in the episode.
 
     Preset urbanmarl: sizes and rates of UrbanMARL 0.3.1 (docs/explanation/radio_and_edge.md).
     """

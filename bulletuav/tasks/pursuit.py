@@ -81,7 +81,7 @@ class Pursuit(GoalFlight[PursuitConfig]):
     End: terminated within 2 m of the goal once the goal has stopped, on contact, when the battery
     is empty, or outside the arena. Truncated after 500 decisions; extreme has 1,000.
 
-    Success: the goal is reached once it has stopped, without any conflict during the episode.
+    Success: the goal is reached once it has stopped, without conflict or collision in the episode.
 
     Preset uavconflict: sizes, observation and reward constants of UAVConflictGym.
     """
@@ -179,11 +179,10 @@ class Pursuit(GoalFlight[PursuitConfig]):
         """Return the shapes of the memory of `GoalFlight` and of the laps.
 
         Returns:
-            "conflicts" (N,), number of conflicts; "swept" (N,), angle flown around the centre,
-            clockwise, rad; "laps_left", "laps_left_before" (N,), see `remaining_distance`,
-            m.
+            "swept" (N,), angle flown around the centre, clockwise, rad; "laps_left",
+            "laps_left_before" (N,), see `remaining_distance`, m.
         """
-        own = ("conflicts", "swept", "laps_left", "laps_left_before")
+        own = ("swept", "laps_left", "laps_left_before")
         return {**super().memory(), **dict.fromkeys(own, (self.context.num_drones,))}
 
     def start_memory(self, frame: Frame) -> None:
@@ -191,13 +190,12 @@ class Pursuit(GoalFlight[PursuitConfig]):
         self._update_distances(frame)
 
     def update_memory(self, frame: Frame, rngs: Rngs) -> None:
-        """Update the numbers of conflicts, the angles flown and the remaining distances."""
+        """Update the angles flown and the remaining distances."""
         memory = frame.scene.memory
         turned = _bearing(frame.before.position) - _bearing(frame.after.position)
         # The smaller angle: no drone flies half a lap in one decision
         turned -= 2 * np.pi * np.round(turned / (2 * np.pi))
         memory["swept"][:] += np.where(frame.alive, turned, 0.0)
-        memory["conflicts"][:] += np.where(frame.alive, frame.conflict.onsets, 0)
         memory["laps_left_before"][:] = memory["laps_left"]
         self._update_distances(frame)
         super().update_memory(frame, rngs)
@@ -229,12 +227,6 @@ class Pursuit(GoalFlight[PursuitConfig]):
         has_flown = frame.scene.memory["swept"] >= 2 * np.pi * self.config.laps - TOLERANCE
         arrived: np.ndarray = has_stopped & has_flown & super().arrived(frame)
         return arrived
-
-    def succeeded(self, frame: Frame) -> np.ndarray:
-        """Return which drones finished without any conflict, (W, N) bool."""
-        without_conflict = frame.scene.memory["conflicts"] == 0
-        succeeded: np.ndarray = super().succeeded(frame) & without_conflict
-        return succeeded
 
 
 def _bearing(position: np.ndarray) -> np.ndarray:

@@ -141,6 +141,7 @@ class PursuitEvasion(Task[PursuitEvasionConfig]):
     """
 
     name = "pursuit_evasion"
+    is_game = True
     team_names = ("chasers", "evaders")
     defaults: ClassVar = {
         "num_drones": 4,

@@ -17,6 +17,7 @@ from bulletuav.tasks.observations.base import Block, make_drone_block
 from bulletuav.tasks.parts.base import Rngs
 from bulletuav.tasks.parts.gates import compute_remaining_distances, cross_gates, rank_drones
 from bulletuav.tasks.parts.race_course import RaceConfig, RaceCourse
+from bulletuav.tasks.parts.safety import Safety
 
 
 @reward
@@ -83,7 +84,7 @@ class Race(Task[RaceConfig]):
     End: terminated on passing the last gate, on contact, when the battery is empty, or outside the
     arena. Truncated after 600 decisions; hard and extreme have 800.
 
-    Success: the last gate was passed.
+    Success: the last gate was passed, without conflict or collision in the episode.
 
     Infos: `gates`, number of gates passed; `missed`, number of gates missed; `rank` from 1, by
     remaining distance; `overtakes`, number of drones overtaken; `split`, time at which the last
@@ -96,6 +97,7 @@ class Race(Task[RaceConfig]):
     gates oscillate, and drones differ in mass, thrust and drag.
     """
 
+    version = 2
     name = "race"
     baseline = "race_pilot"
     places: ClassVar[tuple[str, ...]] = ("start",)
@@ -172,6 +174,7 @@ class Race(Task[RaceConfig]):
             ValueError: If the track does not exist or cannot be flown.
         """
         super().__init__(config, context)
+        self.safety = self.add(Safety(context.num_drones))
         self.course = RaceCourse(config, context)
         self.turns = self.course.turns
         self.arena_low, self.arena_high = self.course.arena
@@ -200,7 +203,7 @@ class Race(Task[RaceConfig]):
         measures = ("remaining_distance", "remaining_distance_before", "rank", "rank_before")
         of_drones = dict.fromkeys((*counts, "touching", *measures), drones)
         shapes = {name: (gates, *shape) for name, shape in of_gates.items()}
-        return {**shapes, **of_drones, "split": (*drones, self.turns)}
+        return {**super().memory(), **shapes, **of_drones, "split": (*drones, self.turns)}
 
     def spawn(self, rng: np.random.Generator) -> Spawn:
         """Draw a track, unless one is given, and place drones on its starting blocks."""
@@ -244,6 +247,7 @@ class Race(Task[RaceConfig]):
 
     def update_memory(self, frame: Frame, rngs: Rngs) -> None:
         """Update passed gates, ranks, and numbers of missed gates and contacts."""
+        super().update_memory(frame, rngs)
         memory = frame.scene.memory
         cross_gates(
             frame.before.position,

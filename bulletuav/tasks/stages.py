@@ -10,6 +10,7 @@ from bulletuav.compiled.program import Program
 from bulletuav.tasks.base import Task
 from bulletuav.tasks.frame import Frame
 from bulletuav.tasks.ingredients import Bound
+from bulletuav.tasks.parts.safety import deny_unsafe
 
 
 class StepEvaluation(NamedTuple):
@@ -93,6 +94,8 @@ def add_outcome(
     own = None if kind.succeeded is Task.succeeded else task.succeeded
     success = () if bound.success is None else (bound.success,)
     _add_flags(program, frame, evaluation.success, own, success)
+    if task.safety is not None:
+        program.call(deny_unsafe, frame.scene.memory["violations"], evaluation.success)
 
 
 def add_evaluation(

@@ -12,6 +12,7 @@ from bulletuav.tasks.frame import Frame, Scene, Spawn, TaskContext
 from bulletuav.tasks.parts.city_layouts import CityOptions, add_city
 from bulletuav.tasks.parts.difficulties import URBAN_DIFFICULTIES
 from bulletuav.tasks.parts.obstacle_field import ObstacleField, ObstacleOptions
+from bulletuav.tasks.parts.safety import Safety
 from bulletuav.tasks.parts.urban import URBAN_DEFAULTS, check_fraction
 from bulletuav.tasks.parts.users import Service, UserOptions, Users
 
@@ -58,6 +59,7 @@ class UserService(Task[UserServiceConfigT], Generic[UserServiceConfigT]):
         service: Service that drones provide to users.
     """
 
+    version = 2
     has_goals = False
     places: ClassVar[tuple[str, ...]] = ("start",)
     difficulties: ClassVar = URBAN_DIFFICULTIES
@@ -80,6 +82,7 @@ class UserService(Task[UserServiceConfigT], Generic[UserServiceConfigT]):
         """
         super().__init__(config, context)
         self.add(ObstacleField(self))
+        self.safety = self.add(Safety(context.num_drones))
         self.city_layouts = add_city(self)
         check_fraction("wanted", config.wanted)
         self.rebound = REBOUND.get(config.boundary)

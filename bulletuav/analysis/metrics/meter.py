@@ -39,6 +39,7 @@ class Meter:
         # Outcome and reward of each drone.
         self._collided = np.zeros(shape, dtype=bool)
         self._succeeded = np.zeros(shape, dtype=bool)
+        self._in_conflict = np.zeros(shape, dtype=bool)
         self._return = np.zeros(shape)
         # Of each drone, m: path length; initial distance to its goal plus the path length of the
         # goal; distance to its goal now.
@@ -109,6 +110,7 @@ class Meter:
     ) -> None:
         """Count conflicts and near misses, each of which both drones of a pair report."""
         self._conflicts += (info["conflicts"] * flown).sum(axis=1) / 2
+        self._in_conflict |= (info["conflicts"] > 0) & flown
         # A near miss is a conflict at half the distance.
         close = measure_conflict(
             before.position,
@@ -196,8 +198,12 @@ class Meter:
         made_good = np.maximum(self._initial_distance[w] - self._goal_distance[w], 0.0)
         progress_per_metre = made_good / np.maximum(self._path_length[w], 1e-9)
         efficiency = np.minimum(progress_per_metre, 1.0)[arrived]
+        # In games between teams the rules of the game say what is safe
+        is_game = aviary.task.is_game
+        safely = arrived if is_game else arrived & ~self._collided[w] & ~self._in_conflict[w]
         has_rotors = aviary.setpoint_level == SetpointLevel.ROTOR
         return {
+            "safe_success": safely.mean(),
             "collision": self._collided[w].any(),
             "conflict": self._separation[w] < self._d_safe,
             "success": arrived.all(),

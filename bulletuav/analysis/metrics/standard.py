@@ -7,10 +7,13 @@ from bulletuav.registry import register
 RATES = ("collision", "conflict", "success")
 """Metrics that are 0 or 1 in an episode, so that their means are fractions of the episodes"""
 METRICS = {
+    "safe_success": (
+        "fraction of drones that succeeded, without conflict or collision in the episode"
+    ),
     "collision": "fraction of episodes with a contact of collision shapes",
     "conflict": "fraction of episodes with a separation below d_safe",
-    "success": "fraction of episodes in which all drones succeeded, as defined by the task",
-    "drone_success": "fraction of drones that succeeded",
+    "success": "fraction of episodes in which all drones succeeded",
+    "drone_success": "fraction of drones that succeeded, as defined by the task",
     "return": "sum of the rewards of the episode, mean over drones",
     "conflicts": "number of conflicts of two drones that began",
     "near_misses": "number of approaches of two drones below half of d_safe",
