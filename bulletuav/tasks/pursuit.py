@@ -1,16 +1,17 @@
-"""Task `pursuit`: drones queue on a circular track, the fastest last, so that they overtake."""
+"""Task `pursuit`: drones share a circular track at speeds of their own, and have to overtake."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import ClassVar
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
 
 import numpy as np
 
-from bulletuav.compiled.functions import atan2, cos, sin
+from bulletuav.compiled.functions import cos, sin
+from bulletuav.compiled.kernel import kernel
 from bulletuav.registry import register
 from bulletuav.tasks.frame import Frame, Scene, Spawn, TaskContext
 from bulletuav.tasks.goal_flight import REWARD_WEIGHTS, FlightConfig, GoalFlight
-from bulletuav.tasks.ingredients import reward
+from bulletuav.tasks.ingredients import end, reward
 from bulletuav.tasks.parts.airspace import (
     AirspaceOptions,
     circle_arena,
@@ -18,11 +19,13 @@ from bulletuav.tasks.parts.airspace import (
     min_start_distance,
 )
 from bulletuav.tasks.parts.base import Rngs
-from bulletuav.tasks.parts.difficulties import AIRSPACE_DIFFICULTIES
+from bulletuav.tasks.parts.difficulties import UNCERTAINTY
 from bulletuav.tasks.parts.presets import UAVCONFLICT
 
-TOLERANCE = 0.5
-"""Tolerance of the angle flown, rad: starts, and ends at the goal, are slightly offset"""
+PLATOON = 10
+"""Number of drones in a platoon, in which the faster drones start behind the slower ones"""
+MAX_SLACK = 0.1
+"""Maximum `slack` as a fraction of the track: drones average 0.9 of their cruising speed or more"""
 
 
 @dataclass(frozen=True)
@@ -31,57 +34,86 @@ class PursuitConfig(AirspaceOptions, FlightConfig):
 
     Attributes:
         radius: Radius of the circular track, m.
-        spacing: Distance between neighbours in the queue along the track, m.
-        speed: Speed of the first and the last drone of the queue, m/s; evenly spaced in between.
-        laps: Number of laps of each goal.
+        spacing: Distance between neighbours along the track at the start, m.
+        speed: Minimum and maximum cruising speed, m/s, drawn for each drone and episode.
+        laps: Number of laps of each drone.
+        slack: Maximum distance of a drone from its goal, which moves along the track, m.
     """
 
     radius: float = 60.0
     spacing: float = 15.0
     speed: tuple[float, float] = (10.0, 18.0)
     laps: int = 1
+    slack: float = field(default=25.0, metadata={"least": 1.0})
+
+
+@end
+def off_schedule(is_on_schedule: bool) -> bool:
+    """Return True if the drone is farther than `slack` from its goal before the end of its laps."""
+    return not is_on_schedule
 
 
 @reward
 def lap(
-    remaining_distance: float, remaining_distance_before: float, radius: float, laps: int
+    cruising_speed: float,
+    time: float,
+    period: float,
+    track_length: float,
+    is_on_schedule: bool,
+    is_safe: bool,
 ) -> float:
-    """Decrease of the remaining distance, by track and to the goal, as a fraction of all laps."""
-    return (remaining_distance_before - remaining_distance) / (2 * np.pi * radius * laps)
+    """Fraction of all laps due in the decision: of drones on schedule without conflict."""
+    if not (is_on_schedule and is_safe):
+        return 0.0
+    due = min(cruising_speed * time, track_length)
+    return (due - min(cruising_speed * (time - period), track_length)) / track_length
+
+
+@reward
+def safe_finish(reached: bool, is_safe: bool) -> float:
+    """1 in the decision in which all laps are complete, without conflict or collision before."""
+    return 1.0 if reached and is_safe else 0.0
 
 
 @register("task")
 class Pursuit(GoalFlight[PursuitConfig]):
-    """Drones queue on a circular track, the faster behind the slower, and have to overtake.
+    """Drones share a circular track, each at a cruising speed of its own, and have to overtake.
 
-    Each drone's goal moves along the circle, clockwise, at the drone's own pace. It makes one lap,
-    back to the drone's start, and stops there. Drones have to fly the lap themselves: waiting for
-    the goal is no success. Drone 0 leads and is the slowest.
+    Drones start in a queue on the track, drone 0 first, and fly clockwise. For each episode their
+    cruising speeds v are drawn evenly from 10 to 18 m/s, and sorted in each platoon of ten drones,
+    the slowest first. A drone's goal moves along the track at v for one lap. The drone has to stay
+    within slack = 25 m of the goal, so that it averages 0.9 v or more: it may neither wait, sprint
+    nor cut corners, and drones that fly at one speed in convoy fail.
 
     Observation, Box(58) per drone with the defaults, in world axes (east, north, up): position,
-    velocity, direction and distance of the goal, the goal's velocity, the nearest active drones,
-    and the nearest obstacles. Drones and obstacles are relative to the drone, sorted by distance,
-    and padded with zeros.
+    velocity, direction and distance of the goal, the goal's velocity (its norm is v), the nearest
+    active drones, and the nearest obstacles. Drones and obstacles are relative to the drone, sorted
+    by distance, and padded with zeros.
 
     Action, by default `velocity`, Box(3) per drone in [-1, 1]: commanded velocity divided by
     max_speed = 20 m/s. Its norm is limited to max_speed. There are 10 decisions a second.
 
     Reward per decision, the weighted sum of these terms (see `GoalFlight` for all terms):
 
-    - lap 1000: fraction of all laps gained, along the track and to the goal.
+    - lap 500: fraction of all laps that the goal moved, while the drone is within the slack and had
+      no conflict or collision.
+    - goal 500: 1 when the goal completes its laps, under the same conditions.
     - progress 0: decrease of the distance to the moving goal, m.
-    - goal 50: 1 in the decision in which the drone reaches the goal after flying all laps.
     - conflict -200: number of drones whose separation falls below d_safe = 5 m.
-    - warning -5: sum over other drones of their proximity, linear from 0 at 10 m to 1 at 5 m.
+    - warning -0.5: sum over other drones of their proximity, linear from 0 at 10 m to 1 at 5 m.
     - collision -200: 1 on contact.
     - out_of_bounds -50: 1 outside the arena.
     - energy -0.01: squared change of velocity, (m/s)^2.
-    - time -0.5: 1 per decision until the goal is reached, and per remaining decision on other ends.
+    - time -0.5: 1 per decision until the laps are complete, and per remaining decision on other
+      ends.
 
-    End: terminated within 2 m of the goal once the goal has stopped, on contact, when the battery
-    is empty, or outside the arena. Truncated after 500 decisions; extreme has 1,000.
+    End: terminated when the laps are complete, farther than the slack from the goal, on contact,
+    when the battery is empty, or outside the arena. Truncated after 500 decisions; extreme has
+    1,300.
 
-    Success: the goal is reached once it has stopped, without conflict or collision in the episode.
+    Success: the laps are complete, without conflict or collision in the episode.
+
+    Info: `overtakes`, number of times that the drone passed another one along the track.
 
     Preset uavconflict: sizes, observation and reward constants of UAVConflictGym.
     """
@@ -89,21 +121,28 @@ class Pursuit(GoalFlight[PursuitConfig]):
     name = "pursuit"
     places: ClassVar[tuple[str, ...]] = ("start",)
     observation = ("position", "velocity", "goal", "goal_velocity", "neighbours", "obstacles")
-    reward: ClassVar = {**REWARD_WEIGHTS, "progress": 0.0, "lap": (lap, 1000.0)}
+    reward: ClassVar = {
+        **REWARD_WEIGHTS,
+        "progress": 0.0,
+        "warning": -0.5,
+        "lap": (lap, 500.0),
+        "goal": (safe_finish, 500.0),
+    }
+    ends: ClassVar = (off_schedule,)
     presets: ClassVar = {
         "uavconflict": {**UAVCONFLICT, "weights": {**UAVCONFLICT["weights"], "lap": 0.0}}
     }
     difficulties: ClassVar = {
-        "easy": AIRSPACE_DIFFICULTIES["easy"],
-        "medium": AIRSPACE_DIFFICULTIES["medium"],
-        "hard": AIRSPACE_DIFFICULTIES["hard"],
+        "easy": {"num_drones": 4, **UNCERTAINTY["easy"]},
+        "medium": UNCERTAINTY["medium"],
+        "hard": {"num_drones": 20, **UNCERTAINTY["hard"]},
         "extreme": {
-            "radius": 150.0,
-            "spacing": 17.0,
+            "num_drones": 100,
+            "radius": 200.0,
+            "spacing": 12.0,
             "speed": (12.0, 18.0),
-            "horizon": 1000,
-            **AIRSPACE_DIFFICULTIES["extreme"],
-            "num_drones": 50,
+            "horizon": 1300,
+            **UNCERTAINTY["extreme"],
         },
     }
 
@@ -112,7 +151,7 @@ class Pursuit(GoalFlight[PursuitConfig]):
 
         Raises:
             ValueError: If drones could start in conflict or touching the ground, or are too slow
-                for the horizon.
+                for the horizon, or the slack is too large for the track.
         """
         super().__init__(config, context)
         slowest, fastest = config.speed
@@ -123,12 +162,16 @@ class Pursuit(GoalFlight[PursuitConfig]):
             )
         self._check_spacing()
         self.arena_low, self.arena_high = circle_arena(config, context, config.radius)
-        self._pace = np.linspace(slowest, fastest, context.num_drones)
-        self._track_length = 2 * np.pi * config.radius * config.laps
+        self._track_length = float(2 * np.pi * config.radius * config.laps)
         if self._track_length > slowest * context.duration:
             raise ValueError(
                 f"speed {slowest:g} m/s is too slow for {self._track_length:.4g} m of track "
                 f"within {context.duration:g} s: raise horizon or speed, or fly fewer laps"
+            )
+        if config.slack > MAX_SLACK * self._track_length:
+            raise ValueError(
+                f"slack {config.slack:g} m is more than {MAX_SLACK:g} of "
+                f"{self._track_length:.4g} m of track: lower it, or raise radius"
             )
 
     def _check_spacing(self) -> None:
@@ -151,85 +194,124 @@ class Pursuit(GoalFlight[PursuitConfig]):
                 f"more than {clear:.3g} m (d_safe) is needed"
             )
 
-    def _track(self, time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def flown(self, cruising_speed: np.ndarray, time: np.ndarray) -> np.ndarray:
+        """Return how far goals moved along the track, from 0 to the length of all laps, m.
+
+        Args:
+            cruising_speed: (..., N) speeds of the goals, m/s.
+            time: (...) time since the start, s.
+        """
+        distance: np.ndarray = cruising_speed * np.asarray(time)[..., None]
+        return np.minimum(distance, self._track_length)
+
+    def _track(
+        self, cruising_speed: np.ndarray, time: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Return positions (..., N, 3), m, and velocities (..., N, 3), m/s, of goals.
 
         Args:
+            cruising_speed: (..., N) speeds of the goals, m/s.
             time: (...) time since the start, s.
         """
-        radius = self.config.radius
-        distance = self._pace * np.asarray(time)[..., None]
+        config = self.config
+        flown = self.flown(cruising_speed, time)
         # Clockwise from each drone's place in the queue, until the laps are complete
-        queue = np.arange(len(self._pace)) * self.config.spacing
-        angle = (queue - np.minimum(distance, self._track_length)) / radius
-        zero = np.zeros_like(angle)
-        circle = radius * np.stack([cos(angle), sin(angle), zero], axis=-1)
-        place = circle + np.array((0.0, 0.0, self.config.altitude))
-        pace = np.where(distance < self._track_length, self._pace, 0.0)[..., None]
-        velocity = pace * np.stack([sin(angle), -cos(angle), zero], axis=-1)
-        return place, velocity
+        queue = np.arange(self.context.num_drones) * config.spacing
+        angle = (queue - flown) / config.radius
+        height = np.full_like(angle, config.altitude)
+        place = np.stack([config.radius * cos(angle), config.radius * sin(angle), height], axis=-1)
+        speed = np.where(flown < self._track_length, cruising_speed, 0.0)[..., None]
+        return place, speed * np.stack([sin(angle), -cos(angle), np.zeros_like(angle)], axis=-1)
 
     def spawn(self, rng: np.random.Generator) -> Spawn:
-        """Draw starts of drones queued on the circle, in flight along it."""
-        goal, velocity = self._track(np.zeros(()))
+        """Draw cruising speeds, and starts of drones queued on the circle, in flight along it."""
+        index = np.arange(self.context.num_drones)
+        drawn = rng.uniform(*self.config.speed, len(index))
+        speed = drawn[np.lexsort((drawn, index // PLATOON))]
+        goal, velocity = self._track(speed, np.zeros(()))
         start = self.config.scattered(goal, rng)
-        return self.launch(start, goal, rng, velocity, goal_velocity=velocity)
+        memory = {"cruising_speed": speed}
+        return self.launch(start, goal, rng, velocity, goal_velocity=velocity, memory=memory)
 
     def memory(self) -> Mapping[str, tuple[int, ...]]:
-        """Return the shapes of the memory of `GoalFlight` and of the laps.
+        """Return the shapes of the memory of `GoalFlight` and of the task.
 
         Returns:
-            "swept" (N,), angle flown around the centre, clockwise, rad; "laps_left",
-            "laps_left_before" (N,), see `remaining_distance`, m.
+            "cruising_speed" (N,), m/s; "overtakes" (N,), number of overtakes.
         """
-        own = ("swept", "laps_left", "laps_left_before")
-        return {**super().memory(), **dict.fromkeys(own, (self.context.num_drones,))}
+        shape = (self.context.num_drones,)
+        return {**super().memory(), "cruising_speed": shape, "overtakes": shape}
 
-    def start_memory(self, frame: Frame) -> None:
-        """Compute the remaining distances at the start."""
-        self._update_distances(frame)
+    def quantities(self) -> Mapping[str, Any]:
+        """Return those of `GoalFlight`, `is_on_schedule` and the length of all laps, m."""
+        own = {"is_on_schedule": self.is_on_schedule, "track_length": self._track_length}
+        return {**super().quantities(), **own}
+
+    def is_on_schedule(self, frame: Frame) -> np.ndarray:
+        """Return which drones are within the slack of their goals, or were at the end, (W, N)."""
+        within: np.ndarray = frame.distance <= self.config.slack
+        return within | (frame.scene.memory["reached"] > 0)
 
     def update_memory(self, frame: Frame, rngs: Rngs) -> None:
-        """Update the angles flown and the remaining distances."""
-        memory = frame.scene.memory
-        turned = _bearing(frame.before.position) - _bearing(frame.after.position)
-        # The smaller angle: no drone flies half a lap in one decision
-        turned -= 2 * np.pi * np.round(turned / (2 * np.pi))
-        memory["swept"][:] += np.where(frame.alive, turned, 0.0)
-        memory["laps_left_before"][:] = memory["laps_left"]
-        self._update_distances(frame)
+        """Count the overtakes."""
         super().update_memory(frame, rngs)
+        overtakes = frame.scene.memory["overtakes"]
+        count_overtakes(frame.before.position, frame.after.position, frame.alive, overtakes)
 
-    def _update_distances(self, frame: Frame) -> None:
-        """Update the remaining distances: along the track, and to the goal."""
-        memory = frame.scene.memory
-        angle = np.maximum(2 * np.pi * self.config.laps - memory["swept"], 0.0)
-        memory["laps_left"][:] = self.config.radius * angle + super().remaining_distance(frame)
+    def _laps_left(self, frame: Frame, time: np.ndarray) -> np.ndarray:
+        """Return how far goals have yet to move at times (W,), s: (W, N) m."""
+        return self._track_length - self.flown(frame.scene.memory["cruising_speed"], time)
 
     def remaining_distance(self, frame: Frame) -> np.ndarray:
-        """Return the remaining distance: the laps along the track, and to the goal, (W, N) m."""
-        return frame.scene.memory["laps_left"]
+        """Return the distance to the goal plus that which it has yet to move, (W, N) m."""
+        return super().remaining_distance(frame) + self._laps_left(frame, frame.time)
 
     def remaining_distance_before(self, frame: Frame) -> np.ndarray:
         """Return `remaining_distance` before the decision, (W, N) m."""
-        return frame.scene.memory["laps_left_before"]
+        left = self._laps_left(frame, frame.time - self.context.period)
+        return super().remaining_distance_before(frame) + left
 
     def move_scene(self, scene: Scene, time: np.ndarray, flying: np.ndarray, rngs: Rngs) -> bool:
         """Move the goals along the track."""
-        goal, velocity = self._track(time + self.context.period)
+        speed = scene.memory["cruising_speed"]
+        goal, velocity = self._track(speed, time + self.context.period)
         scene.goal[flying] = goal[flying]
         scene.goal_velocity[flying] = velocity[flying]
         return super().move_scene(scene, time, flying, rngs)
 
     def arrived(self, frame: Frame) -> np.ndarray:
-        """Return which drones flew their laps and are at their stopped goals, (W, N) bool."""
-        has_stopped = self._pace * frame.time[:, None] >= self._track_length
-        has_flown = frame.scene.memory["swept"] >= 2 * np.pi * self.config.laps - TOLERANCE
-        arrived: np.ndarray = has_stopped & has_flown & super().arrived(frame)
-        return arrived
+        """Return which drones are within the slack of goals that completed their laps, (W, N)."""
+        arrived: np.ndarray = frame.distance <= self.config.slack
+        return arrived & (self._laps_left(frame, frame.time) <= 0.0)
+
+    def info(self, frame: Frame) -> dict[str, np.ndarray]:
+        """Return the numbers of overtakes, (W, N)."""
+        overtakes = frame.scene.memory["overtakes"].astype(int)
+        return {**super().info(frame), "overtakes": overtakes}
 
 
-def _bearing(position: np.ndarray) -> np.ndarray:
-    """Return the bearing of positions (..., 3) from the centre, from east to north, rad."""
-    bearing: np.ndarray = atan2(position[..., 1], position[..., 0])
-    return bearing
+@kernel
+def count_overtakes(
+    before: np.ndarray, after: np.ndarray, alive: np.ndarray, overtakes: np.ndarray
+) -> None:
+    """Count the drones that each drone passes clockwise around the centre in a decision.
+
+    Args:
+        before: (W, N, 3) positions before the decision, m.
+        after: (W, N, 3) positions after the decision, m.
+        alive: (W, N) bool, drones that flew the decision.
+        overtakes: (W, N) counts, updated.
+    """
+    for w in range(alive.shape[0]):
+        for i in range(alive.shape[1]):
+            for j in range(alive.shape[1]):
+                if not (alive[w, i] and alive[w, j]) or i == j:
+                    continue
+                x, y = before[w, i, 0], before[w, i, 1]
+                behind = before[w, j, 0] * y - before[w, j, 1] * x > 0.0
+                x, y = after[w, i, 0], after[w, i, 1]
+                ahead = after[w, j, 0] * y - after[w, j, 1] * x <= 0.0
+                # On the same side of the circle: the order changes on the opposite side, too
+                near = after[w, j, 0] * x + after[w, j, 1] * y > 0.0
+                if behind and ahead and near:
+                    overtakes[w, i] += 1.0
