@@ -116,6 +116,9 @@ class Pursuit(GoalFlight[PursuitConfig]):
     Info: `overtakes`, number of times that the drone passed another one along the track.
 
     Preset uavconflict: sizes, observation and reward constants of UAVConflictGym.
+
+    Attributes:
+        track_length: Length of all laps, m.
     """
 
     name = "pursuit"
@@ -129,13 +132,26 @@ class Pursuit(GoalFlight[PursuitConfig]):
         "goal": (safe_finish, 500.0),
     }
     ends: ClassVar = (off_schedule,)
+    oracle = "pursuit_oracle"
+    shirkers: ClassVar[tuple[str, ...]] = (
+        "pursuit_convoy",
+        "pursuit_slow_convoy",
+        "pursuit_fast_convoy",
+        "pursuit_sprint_and_wait",
+        "pursuit_wait_and_sprint",
+        "pursuit_stop",
+        "pursuit_shortcut",
+        "pursuit_orbit",
+        "pursuit_climb",
+        "pursuit_backwards",
+    )
     presets: ClassVar = {
         "uavconflict": {**UAVCONFLICT, "weights": {**UAVCONFLICT["weights"], "lap": 0.0}}
     }
     difficulties: ClassVar = {
         "easy": {"num_drones": 4, **UNCERTAINTY["easy"]},
-        "medium": UNCERTAINTY["medium"],
-        "hard": {"num_drones": 20, **UNCERTAINTY["hard"]},
+        "medium": {"slack": 20.0, **UNCERTAINTY["medium"]},
+        "hard": {"num_drones": 20, "slack": 17.0, **UNCERTAINTY["hard"]},
         "extreme": {
             "num_drones": 100,
             "radius": 200.0,
@@ -162,16 +178,16 @@ class Pursuit(GoalFlight[PursuitConfig]):
             )
         self._check_spacing()
         self.arena_low, self.arena_high = circle_arena(config, context, config.radius)
-        self._track_length = float(2 * np.pi * config.radius * config.laps)
-        if self._track_length > slowest * context.duration:
+        self.track_length = float(2 * np.pi * config.radius * config.laps)
+        if self.track_length >= slowest * context.duration:
             raise ValueError(
-                f"speed {slowest:g} m/s is too slow for {self._track_length:.4g} m of track "
+                f"speed {slowest:g} m/s is too slow for {self.track_length:.4g} m of track "
                 f"within {context.duration:g} s: raise horizon or speed, or fly fewer laps"
             )
-        if config.slack > MAX_SLACK * self._track_length:
+        if config.slack > MAX_SLACK * self.track_length:
             raise ValueError(
                 f"slack {config.slack:g} m is more than {MAX_SLACK:g} of "
-                f"{self._track_length:.4g} m of track: lower it, or raise radius"
+                f"{self.track_length:.4g} m of track: lower it, or raise radius"
             )
 
     def _check_spacing(self) -> None:
@@ -202,7 +218,7 @@ class Pursuit(GoalFlight[PursuitConfig]):
             time: (...) time since the start, s.
         """
         distance: np.ndarray = cruising_speed * np.asarray(time)[..., None]
-        return np.minimum(distance, self._track_length)
+        return np.minimum(distance, self.track_length)
 
     def _track(
         self, cruising_speed: np.ndarray, time: np.ndarray
@@ -220,7 +236,7 @@ class Pursuit(GoalFlight[PursuitConfig]):
         angle = (queue - flown) / config.radius
         height = np.full_like(angle, config.altitude)
         place = np.stack([config.radius * cos(angle), config.radius * sin(angle), height], axis=-1)
-        speed = np.where(flown < self._track_length, cruising_speed, 0.0)[..., None]
+        speed = np.where(flown < self.track_length, cruising_speed, 0.0)[..., None]
         return place, speed * np.stack([sin(angle), -cos(angle), np.zeros_like(angle)], axis=-1)
 
     def spawn(self, rng: np.random.Generator) -> Spawn:
@@ -244,7 +260,7 @@ class Pursuit(GoalFlight[PursuitConfig]):
 
     def quantities(self) -> Mapping[str, Any]:
         """Return those of `GoalFlight`, `is_on_schedule` and the length of all laps, m."""
-        own = {"is_on_schedule": self.is_on_schedule, "track_length": self._track_length}
+        own = {"is_on_schedule": self.is_on_schedule, "track_length": self.track_length}
         return {**super().quantities(), **own}
 
     def is_on_schedule(self, frame: Frame) -> np.ndarray:
@@ -260,7 +276,7 @@ class Pursuit(GoalFlight[PursuitConfig]):
 
     def _laps_left(self, frame: Frame, time: np.ndarray) -> np.ndarray:
         """Return how far goals have yet to move at times (W,), s: (W, N) m."""
-        return self._track_length - self.flown(frame.scene.memory["cruising_speed"], time)
+        return self.track_length - self.flown(frame.scene.memory["cruising_speed"], time)
 
     def remaining_distance(self, frame: Frame) -> np.ndarray:
         """Return the distance to the goal plus that which it has yet to move, (W, N) m."""
