@@ -62,7 +62,7 @@ class TrackPolicy(Scripted):
         along = np.stack(
             [outward[..., 1], -outward[..., 0], np.zeros(distance.shape[:-1])], axis=-1
         )
-        velocity = np.broadcast_to(speed, distance.shape[:-1])[..., None] * along
+        velocity: np.ndarray = np.broadcast_to(speed, distance.shape[:-1])[..., None] * along
         velocity += TRACK_GAIN * (config.radius + aside - distance) * outward
         velocity[..., 2] = TRACK_GAIN * (config.altitude + up - swarm.position[..., 2])
         return velocity

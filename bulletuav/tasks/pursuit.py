@@ -1,7 +1,7 @@
 """Task `pursuit`: drones share a circular track at speeds of their own, and have to overtake."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
@@ -44,7 +44,7 @@ class PursuitConfig(AirspaceOptions, FlightConfig):
     spacing: float = 15.0
     speed: tuple[float, float] = (10.0, 18.0)
     laps: int = 1
-    slack: float = field(default=25.0, metadata={"least": 1.0})
+    slack: float = 20.0
 
 
 @end
@@ -82,7 +82,7 @@ class Pursuit(GoalFlight[PursuitConfig]):
     Drones start in a queue on the track, drone 0 first, and fly clockwise. For each episode their
     cruising speeds v are drawn evenly from 10 to 18 m/s, and sorted in each platoon of ten drones,
     the slowest first. A drone's goal moves along the track at v for one lap. The drone has to stay
-    within slack = 25 m of the goal, so that it averages 0.9 v or more: it may neither wait, sprint
+    within slack = 20 m of the goal, so that it averages 0.9 v or more: it may neither wait, sprint
     nor cut corners, and drones that fly at one speed in convoy fail.
 
     Observation, Box(58) per drone with the defaults, in world axes (east, north, up): position,
@@ -149,14 +149,15 @@ class Pursuit(GoalFlight[PursuitConfig]):
         "uavconflict": {**UAVCONFLICT, "weights": {**UAVCONFLICT["weights"], "lap": 0.0}}
     }
     difficulties: ClassVar = {
-        "easy": {"num_drones": 4, **UNCERTAINTY["easy"]},
-        "medium": {"slack": 20.0, **UNCERTAINTY["medium"]},
+        "easy": {"num_drones": 4, "slack": 25.0, **UNCERTAINTY["easy"]},
+        "medium": UNCERTAINTY["medium"],
         "hard": {"num_drones": 20, "slack": 17.0, **UNCERTAINTY["hard"]},
         "extreme": {
             "num_drones": 100,
             "radius": 200.0,
             "spacing": 12.0,
             "speed": (12.0, 18.0),
+            "slack": 25.0,
             "horizon": 1300,
             **UNCERTAINTY["extreme"],
         },
@@ -166,8 +167,8 @@ class Pursuit(GoalFlight[PursuitConfig]):
         """Check that drones start separated and are fast enough, and set the arena.
 
         Raises:
-            ValueError: If drones could start in conflict or touching the ground, or are too slow
-                for the horizon, or the slack is too large for the track.
+            ValueError: If drones could start in conflict or touching the ground, are too slow for
+                the horizon, or the slack is smaller than the jitter or too large for the track.
         """
         super().__init__(config, context)
         slowest, fastest = config.speed
@@ -184,10 +185,11 @@ class Pursuit(GoalFlight[PursuitConfig]):
                 f"speed {slowest:g} m/s is too slow for {self.track_length:.4g} m of track "
                 f"within {context.duration:g} s: raise horizon or speed, or fly fewer laps"
             )
-        if config.slack > MAX_SLACK * self.track_length:
+        nearest, farthest = np.sqrt(3) * config.jitter, MAX_SLACK * self.track_length
+        if not nearest < config.slack <= farthest:
             raise ValueError(
-                f"slack {config.slack:g} m is more than {MAX_SLACK:g} of "
-                f"{self.track_length:.4g} m of track: lower it, or raise radius"
+                f"slack is {config.slack:g} m: more than {nearest:.3g} m, by which jitter offsets "
+                f"starts, and up to {farthest:.3g} m, {MAX_SLACK:g} of the track, is needed"
             )
 
     def _check_spacing(self) -> None:
@@ -217,12 +219,11 @@ class Pursuit(GoalFlight[PursuitConfig]):
             cruising_speed: (..., N) speeds of the goals, m/s.
             time: (...) time since the start, s.
         """
-        distance: np.ndarray = cruising_speed * np.asarray(time)[..., None]
-        return np.minimum(distance, self.track_length)
+        distance = cruising_speed * np.asarray(time)[..., None]
+        flown: np.ndarray = np.minimum(distance, self.track_length)
+        return flown
 
-    def _track(
-        self, cruising_speed: np.ndarray, time: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def _track(self, cruising_speed: np.ndarray, time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return positions (..., N, 3), m, and velocities (..., N, 3), m/s, of goals.
 
         Args:
@@ -276,16 +277,20 @@ class Pursuit(GoalFlight[PursuitConfig]):
 
     def _laps_left(self, frame: Frame, time: np.ndarray) -> np.ndarray:
         """Return how far goals have yet to move at times (W,), s: (W, N) m."""
-        return self.track_length - self.flown(frame.scene.memory["cruising_speed"], time)
+        flown: np.ndarray = self.flown(frame.scene.memory["cruising_speed"], time)
+        return self.track_length - flown
 
     def remaining_distance(self, frame: Frame) -> np.ndarray:
         """Return the distance to the goal plus that which it has yet to move, (W, N) m."""
-        return super().remaining_distance(frame) + self._laps_left(frame, frame.time)
+        remaining: np.ndarray = super().remaining_distance(frame)
+        remaining = remaining + self._laps_left(frame, frame.time)
+        return remaining
 
     def remaining_distance_before(self, frame: Frame) -> np.ndarray:
         """Return `remaining_distance` before the decision, (W, N) m."""
-        left = self._laps_left(frame, frame.time - self.context.period)
-        return super().remaining_distance_before(frame) + left
+        remaining: np.ndarray = super().remaining_distance_before(frame)
+        remaining = remaining + self._laps_left(frame, frame.time - self.context.period)
+        return remaining
 
     def move_scene(self, scene: Scene, time: np.ndarray, flying: np.ndarray, rngs: Rngs) -> bool:
         """Move the goals along the track."""

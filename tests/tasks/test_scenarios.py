@@ -11,12 +11,6 @@ CALM = {"randomization": {}}
 REFUSED = [
     ("converge", {"radius": 5.0}, "start positions may be in conflict"),
     ("converge", {"altitude": 1.0}, "too low for jitter"),
-    ("pursuit", {"spacing": 6.0}, "start positions may be in conflict"),
-    ("pursuit", {"spacing": 60.0}, "do not fit on a circle"),
-    ("pursuit", {"speed": (10.0, 30.0)}, "speed is"),
-    ("pursuit", {"altitude": 1.0}, "too low for jitter"),
-    ("pursuit", {"laps": 0}, "laps is 0"),
-    ("pursuit", {"laps": 2}, "too slow for 754 m of track within 50 s"),
     ("obstacles", {"area": 40.0}, "keep others out of"),
     ("obstacles", {"num_moving": 26}, "num_moving 26 of 25"),
     ("obstacles", {"obstacle_radius": (0.0, 5.0)}, "obstacle_radius is"),
@@ -51,39 +45,6 @@ def test_converge_starts_on_a_circle_and_leads_to_antipodes():
         along, np.linalg.norm(aviary.swarm.velocity, axis=-1) * aviary.first_info()["goal_distance"]
     )
     aviary.close()
-
-
-def test_pursuit_goals_run_clockwise_each_at_its_pace_and_stop_after_a_lap():
-    aviary = bulletuav.Aviary("pursuit", num_drones=4, dynamics="single_integrator", **CALM)
-    aviary.reset(seeds=0)
-    start = aviary.scene.goal[0].copy()
-    np.testing.assert_allclose(np.linalg.norm(start[:, :2], axis=1), 60)
-    pace = np.linspace(10, 18, 4)
-    angle = np.arctan2(start[:, 1], start[:, 0])
-    for step in range(1, 11):
-        aviary.step(np.zeros((1, 4, 3)))
-        expected = angle - pace * 0.1 * step / 60
-        place = 60 * np.stack([np.cos(expected), np.sin(expected)], axis=1)
-        np.testing.assert_allclose(aviary.scene.goal[0, :, :2], place, atol=1e-9)
-    np.testing.assert_allclose(np.linalg.norm(aviary.scene.goal_velocity[0], axis=1), pace)
-    aviary.close()
-
-
-def test_pursuit_succeeds_after_a_lap_only_without_conflict():
-    """Alone a drone flies its lap; four fly them too, but the faster overtake in conflict."""
-    for drones, success in ((1, True), (4, False)):
-        aviary = bulletuav.Aviary(
-            "pursuit", num_drones=drones, dynamics="point_mass", jitter=0.5, **CALM
-        )
-        policy, conflicts = find_policy("straight")(aviary), np.zeros(drones)
-        observations = aviary.reset(seeds=0)
-        while aviary.alive.any():
-            step = aviary.step(policy.act(observations, aviary.swarm))
-            conflicts += step.info["conflicts"][0]
-        assert conflicts.any() != success
-        assert step.terminated.any()  # also with conflicts the end of the lap is the end
-        assert step.info["success"].any() == success
-        aviary.close()
 
 
 def test_obstacles_start_clear_and_everything_has_its_room():

@@ -127,7 +127,7 @@ class PursuitClimb(TrackPolicy):
     def velocities(self, swarm: Swarm) -> np.ndarray:
         """Return velocities to points above the goals; see `Scripted.velocities`."""
         scene, margin = self.aviary.scene, self.task.config.margin
-        place = scene.goal + (0.0, 0.0, margin - 1.0)
+        place = scene.goal + np.array((0.0, 0.0, margin - 1.0))
         velocity: np.ndarray = GOAL_GAIN * (place - swarm.position) + scene.goal_velocity
         return velocity
 
