@@ -49,8 +49,9 @@ def fly(task):
             hover = 2 * (airframe.hover_speed() / airframe.max_rotor_speed) ** 2 - 1
             action = hover + 0.001 * np.sin(0.9 * k + phase)
         else:
-            size = 0.3  # small enough not to hit anything, where there is anything
-            size = 0.1 if aviary.task.obstacles() else 0.05 if aviary.task.layouts() else size
+            size = 0.3  # small enough not to hit anything, or to leave the schedule of pursuit
+            size = 0.1 if aviary.task.obstacles() or task == "pursuit" else size
+            size = 0.05 if aviary.task.layouts() and not aviary.task.obstacles() else size
             size *= min(1.0, aviary.options.decision_hz / 10)
             action = (
                 size * np.sin(0.07 * k + phase)
