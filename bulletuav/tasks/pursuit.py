@@ -38,6 +38,7 @@ class PursuitConfig(AirspaceOptions, FlightConfig):
         speed: Minimum and maximum cruising speed, m/s, drawn for each drone and episode.
         laps: Number of laps of each drone.
         slack: Maximum distance of a drone from its goal, which moves along the track, m.
+        start_speed: Minimum and maximum speed at the start, m/s, limited to max_speed.
     """
 
     radius: float = 60.0
@@ -45,6 +46,8 @@ class PursuitConfig(AirspaceOptions, FlightConfig):
     speed: tuple[float, float] = (10.0, 18.0)
     laps: int = 1
     slack: float = 20.0
+    # Goals move at full speed from the start
+    start_speed: tuple[float, float] = (10.0, 15.0)
 
 
 @end
