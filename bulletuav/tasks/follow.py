@@ -118,6 +118,7 @@ class Follow(Task[FollowConfig]):
     Reward per decision, the weighted sum of these terms:
 
     - alive 1: 1 per decision.
+    - holding 2: 1 within 1 m of the station.
     - distance -0.1: distance to the station, m.
     - speed -0.05: speed relative to the station, m/s.
     - lost -1: number of remaining decisions when the drone's episode terminates.
@@ -133,6 +134,8 @@ class Follow(Task[FollowConfig]):
 
     version = 2
     name = "follow"
+    baseline = "station_keeper"
+    shirkers: ClassVar = ("follow_above", "follow_behind", "follow_late")
     defaults: ClassVar = {
         "num_drones": 1,
         "airframe": "hummingbird",
@@ -150,6 +153,7 @@ class Follow(Task[FollowConfig]):
     observation = ("attitude", "goal_offset", "velocity", "rates", "goal_velocity")
     reward: ClassVar = {
         "alive": 1.0,
+        "holding": 2.0,
         "distance": -0.1,
         "speed": (speed_to_goal, -0.05),
         "lost": (lost, -1.0),

@@ -63,7 +63,7 @@ class Formation(GoalFlight[FormationConfig]):
 
     - progress 1: decrease of the distance to the place, m, including the motion of the place.
     - holding 1: 1 within 2 m of the place.
-    - conflict -200: number of drones whose separation falls below d_safe = 5 m.
+    - conflict -500: number of drones whose separation falls below d_safe = 5 m.
     - warning -1: sum over other drones of their proximity, linear from 0 at 10 m to 1 at 5 m.
     - collision -200: 1 on contact.
     - out_of_bounds -50: 1 outside the arena.
@@ -85,6 +85,13 @@ class Formation(GoalFlight[FormationConfig]):
 
     name = "formation"
     baseline = "formation_pilot"
+    shirkers: ClassVar = (
+        "formation_unchanged",
+        "formation_late",
+        "formation_neighbour",
+        "formation_shifted",
+        "formation_on_leader",
+    )
     presets: ClassVar[dict[str, Mapping[str, Any]]] = {}
     places: ClassVar[tuple[str, ...]] = ("start",)
     observation: ClassVar[tuple[Any, ...]] = (
@@ -100,6 +107,7 @@ class Formation(GoalFlight[FormationConfig]):
         **REWARD_WEIGHTS,
         "progress": (approach, 1.0),
         "goal": 0.0,
+        "conflict": -500.0,
         "warning": -1.0,
         "holding": 1.0,
     }

@@ -52,7 +52,7 @@ class HoverConfig(TaskConfig):
     start_tilt: float = field(default=0.0, metadata={"most": 180.0})
     start_rates: float = field(default=0.0, metadata={"most": 100.0})
     goal_radius: float = 0.1
-    min_in_place: float = 0.25
+    min_in_place: float = 0.5
     max_distance: float = 20.0
     land: bool = False
 
@@ -132,7 +132,7 @@ class Hover(Task[HoverConfig]):
     End: terminated on any contact of collision shapes, or farther than 20 m from the target.
     Truncated after 240 decisions.
 
-    Success: the drone was within 0.1 m of its target for a quarter of the episode, without conflict
+    Success: the drone was within 0.1 m of its target for half of the episode, without conflict
     or collision; with `land` it also stood on the ground.
 
     Infos: `in_place` is the fraction of the time for which the drone was there.
@@ -143,6 +143,7 @@ class Hover(Task[HoverConfig]):
 
     version = 2
     name = "hover"
+    shirkers: ClassVar = ("hover_beside", "hover_late", "hover_passing")
     defaults: ClassVar = {
         "num_drones": 1,
         "airframe": "cf2x",
