@@ -105,7 +105,10 @@ class FormationPilot(Orca):
         # Wait for the layer before leaving the own column
         error = climb / LAYER_TOLERANCE
         pace = 1.0 / (1.0 + error * error)
-        velocity = limit_norm(APPROACH * goal * (1.0, 1.0, 0.0), self._speed) * pace[..., None]
+        velocity = (
+            limit_norm(APPROACH * goal * (1.0, 1.0, 0.0), self.parameters.max_speed)
+            * pace[..., None]
+        )
         velocity[..., 2] = np.clip(APPROACH * climb, -self._speed, self._speed)
         velocity += goal_velocity
         return limit_norm(velocity, self.parameters.max_speed)
@@ -153,7 +156,7 @@ def assign_layers(
     is_assigned = is_near.copy()
     for i in np.argsort(-length, kind="stable").tolist():
         if not is_near[i]:
-            cost = np.bincount(layer[is_assigned & in_conflict[i]], minlength=num_layers) + 0.5
+            cost = np.bincount(layer[is_near & in_conflict[i]], minlength=num_layers) + 0.5
             cost[current[i]] -= 0.5
             layer[i] = cost.argmin()
             is_assigned[i] = True
