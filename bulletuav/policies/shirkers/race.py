@@ -45,7 +45,8 @@ class RaceStop(RacePilot):
 
     def _is_lost(self, now: np.ndarray) -> np.ndarray:
         """Return which drones need a new line; see `RacePilot`. Stopped drones do not."""
-        return super()._is_lost(now) & ~self._stops()
+        lost: np.ndarray = super()._is_lost(now) & ~self._stops()
+        return lost
 
     def act(self, observations: Observation, swarm: Swarm) -> np.ndarray:
         """Stop after half of the gates; see `Policy.act`."""
