@@ -51,7 +51,7 @@ def test_feed_forward_starts_with_the_second_decision():
     speed = policy.act(observations, aviary.swarm) * aviary.options.max_speed
     np.testing.assert_allclose(speed, aviary.scene.goal_velocity, atol=1e-9)
     # The goal accelerates by 3 m/s^2: its velocity in 0.35 s is commanded
-    aviary.scene.goal_velocity += (0.3, 0.0, 0.0)
+    aviary.scene.goal_velocity[:] += (0.3, 0.0, 0.0)
     ahead = policy.act(observations, aviary.swarm) * aviary.options.max_speed - speed
     np.testing.assert_allclose(ahead[0, 0], (0.3 + 3.0 * 0.35, 0.0, 0.0), atol=1e-9)
     policy.reset(np.ones(1, dtype=bool))
