@@ -3,6 +3,7 @@
 import math
 from collections.abc import Mapping
 from types import MappingProxyType
+from typing import ClassVar
 
 import numpy as np
 
@@ -81,9 +82,13 @@ class RacePilot(Policy):
     A line is planned through the next gates at their predicted positions. The line is delayed if
     its drone falls behind. A drone that is far from its line, or has missed a gate, gets a new line
     with default parameters from its current position. Other drones are not considered.
+
+    Attributes:
+        headway: Time between the starts of consecutive drones, s.
     """
 
     name = "race_pilot"
+    headway: ClassVar[float] = HEADWAY
     actions = ("velocity",)
     reads_swarm = True
     remembers = (
@@ -213,7 +218,7 @@ class RacePilot(Policy):
         """Plan the lines of all drones of a world, with the same line parameters."""
         parameters = None
         for i in range(self.aviary.num_drones):
-            self._start_line(w, i, swarm, now + LEAD_IN + HEADWAY * i)
+            self._start_line(w, i, swarm, now + LEAD_IN + self.headway * i)
             if parameters is None:
                 parameters = optimize_line(self._gate_path(w, i, now), self._limits, PRECISION)
             self._set_parameters(w, i, parameters, now)

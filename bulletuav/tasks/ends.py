@@ -25,6 +25,12 @@ def at_goal(distance: float, goal_radius: float) -> bool:
 
 
 @end
+def held(has_held: bool) -> bool:
+    """Return True if the drone was in place for long enough; see `Holding`."""
+    return has_held
+
+
+@end
 def leaves_arena(outside: bool) -> bool:
     """Return True if the drone is outside the arena."""
     return outside

@@ -12,10 +12,11 @@ from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.registry import register
 from bulletuav.tasks.base import Task
 from bulletuav.tasks.config import TaskConfig
-from bulletuav.tasks.ends import at_goal, collision, too_far
-from bulletuav.tasks.frame import Scene, Spawn, TaskContext
+from bulletuav.tasks.ends import collision, held, too_far
+from bulletuav.tasks.frame import Frame, Scene, Spawn, TaskContext
 from bulletuav.tasks.ingredients import reward
 from bulletuav.tasks.parts.base import Rngs
+from bulletuav.tasks.parts.holding import Holding
 from bulletuav.tasks.parts.safety import Safety
 from bulletuav.tasks.rewards.station import speed_to_goal
 from bulletuav.tasks.starts import check_overlap, check_start_distance
@@ -62,7 +63,8 @@ class FollowConfig(TaskConfig):
         distance: Radius of the circle of stations around the target, m.
         start_offset: Maximum offset of a start from its station on each axis, m.
         d_safe: Separation below which two drones are in conflict, m.
-        goal_radius: Distance from the station within which a drone is successful, m.
+        goal_radius: Distance from the station within which a drone is in place, m.
+        min_in_place: Fraction of the episode that a drone has to be in place.
         max_distance: Distance from the station at which an episode ends, m.
     """
 
@@ -74,6 +76,7 @@ class FollowConfig(TaskConfig):
     start_offset: float = 1.0
     d_safe: float = 2.0
     goal_radius: float = 1.0
+    min_in_place: float = 0.5
     max_distance: float = 40.0
 
 
@@ -115,6 +118,7 @@ class Follow(Task[FollowConfig]):
     Reward per decision, the weighted sum of these terms:
 
     - alive 1: 1 per decision.
+    - holding 2: 1 within 1 m of the station.
     - distance -0.1: distance to the station, m.
     - speed -0.05: speed relative to the station, m/s.
     - lost -1: number of remaining decisions when the drone's episode terminates.
@@ -122,11 +126,16 @@ class Follow(Task[FollowConfig]):
     End: terminated on any contact of collision shapes, or farther than 40 m from the station.
     Truncated after 300 decisions.
 
-    Success: the drone is within 1 m of its station, without conflict or collision in the episode.
+    Success: the drone was within 1 m of its station for half of the episode, without conflict or
+    collision.
+
+    Infos: `in_place` is the fraction of the time for which the drone was within 1 m.
     """
 
     version = 2
     name = "follow"
+    baseline = "station_keeper"
+    shirkers: ClassVar = ("follow_above", "follow_behind", "follow_late")
     defaults: ClassVar = {
         "num_drones": 1,
         "airframe": "hummingbird",
@@ -144,17 +153,19 @@ class Follow(Task[FollowConfig]):
     observation = ("attitude", "goal_offset", "velocity", "rates", "goal_velocity")
     reward: ClassVar = {
         "alive": 1.0,
+        "holding": 2.0,
         "distance": -0.1,
         "speed": (speed_to_goal, -0.05),
         "lost": (lost, -1.0),
     }
     shows: ClassVar = {
-        "success": "at station",
+        "success": "success",
+        "in_place": "at station",
         "collision": "collisions",
         "goal_distance": "to station (m)",
     }
     ends = (collision, too_far)
-    success = at_goal
+    success = held
 
     def __init__(self, config: FollowConfig, context: TaskContext) -> None:
         """Place the stations around the target, and set the arena.
@@ -165,6 +176,7 @@ class Follow(Task[FollowConfig]):
         """
         super().__init__(config, context)
         self.safety = self.add(Safety(context.num_drones))
+        self.add(Holding(config.min_in_place, context, self._is_in_place))
         target = find_choice("target", config.target, TARGETS)
         self._body = target.body
         self._height = target.height
@@ -206,12 +218,17 @@ class Follow(Task[FollowConfig]):
                 f"drones could start {lowest:.3g} m up"
             )
 
+    def _is_in_place(self, frame: Frame) -> np.ndarray:
+        """Return which drones are at their stations, (W, N) bool."""
+        in_place: np.ndarray = frame.distance <= self.config.goal_radius
+        return in_place
+
     def obstacles(self) -> Sequence[Obstacle]:
         """Return the target, which is the only obstacle."""
         return (self._body,)
 
     def memory(self) -> Mapping[str, tuple[int, ...]]:
-        """Return the shapes of "course" (), the course of the target, rad, and of `Safety`."""
+        """Return the shapes of "course" (), the course of the target, rad, and of the parts."""
         return {**super().memory(), "course": ()}
 
     def spawn(self, rng: np.random.Generator) -> Spawn:

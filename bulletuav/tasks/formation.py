@@ -19,6 +19,7 @@ from bulletuav.tasks.parts.base import Rngs
 from bulletuav.tasks.parts.difficulties import AIRSPACE_DIFFICULTIES
 from bulletuav.tasks.parts.formation_plan import FormationConfig, FormationPlan
 from bulletuav.tasks.parts.formations import Course, Leader, in_world, off_places, off_shape
+from bulletuav.tasks.parts.holding import Holding
 
 
 @reward
@@ -48,7 +49,7 @@ class Formation(GoalFlight[FormationConfig]):
     the start, and turns by 2 degrees per second. Each drone's goal is its place in the leader's
     frame, which moves and turns with the leader. Drones start in a square block around the leader,
     in random order and at the leader's velocity. The shape is a V with arms at right angles and 12
-    m between neighbours. Every 20 s it alternates with a line abreast.
+    m between neighbours. After 25 s it changes to a line abreast.
 
     Observation, Box(61) per drone with the defaults, in world axes (east, north, up): position,
     velocity, direction and distance of the place, the place's velocity, the leader's velocity and
@@ -62,7 +63,7 @@ class Formation(GoalFlight[FormationConfig]):
 
     - progress 1: decrease of the distance to the place, m, including the motion of the place.
     - holding 1: 1 within 2 m of the place.
-    - conflict -200: number of drones whose separation falls below d_safe = 5 m.
+    - conflict -500: number of drones whose separation falls below d_safe = 5 m.
     - warning -1: sum over other drones of their proximity, linear from 0 at 10 m to 1 at 5 m.
     - collision -200: 1 on contact.
     - out_of_bounds -50: 1 outside the arena.
@@ -71,9 +72,9 @@ class Formation(GoalFlight[FormationConfig]):
       decision.
 
     End: terminated on contact, when the battery is empty, or outside the arena. Truncated after 500
-    decisions; extreme has 1,000.
+    decisions; hard has 750, extreme has 1,500.
 
-    Success: the drone is at its place, without conflict or collision in the episode.
+    Success: the drone was at its place for half of the episode, without conflict or collision.
 
     Infos: `formation_error` is the root mean square of the active drones' distances from their
     places. `shape_error` is the residual after the optimal translation and rotation of the shape.
@@ -83,7 +84,14 @@ class Formation(GoalFlight[FormationConfig]):
     """
 
     name = "formation"
-    baseline = "mvp"
+    baseline = "formation_pilot"
+    shirkers: ClassVar = (
+        "formation_unchanged",
+        "formation_late",
+        "formation_neighbour",
+        "formation_shifted",
+        "formation_on_leader",
+    )
     presets: ClassVar[dict[str, Mapping[str, Any]]] = {}
     places: ClassVar[tuple[str, ...]] = ("start",)
     observation: ClassVar[tuple[Any, ...]] = (
@@ -99,11 +107,13 @@ class Formation(GoalFlight[FormationConfig]):
         **REWARD_WEIGHTS,
         "progress": (approach, 1.0),
         "goal": 0.0,
+        "conflict": -500.0,
         "warning": -1.0,
         "holding": 1.0,
     }
     shows: ClassVar = {
-        "success": "in place",
+        "success": "success",
+        "in_place": "in place",
         "formation_error": "off places (m)",
         "shape_error": "off shape (m)",
         "separation": "nearest (m)",
@@ -111,20 +121,20 @@ class Formation(GoalFlight[FormationConfig]):
         "collision": "collisions",
     }
     difficulties: ClassVar = {
-        "easy": {"exchange": 20.0, **AIRSPACE_DIFFICULTIES["easy"]},
+        "easy": {"exchange": 25.0, **AIRSPACE_DIFFICULTIES["easy"]},
         "medium": {"shapes": ("v", "line"), "turn_rate": 2.0, **AIRSPACE_DIFFICULTIES["medium"]},
         "hard": {
             "shapes": ("v", "ring", "line"),
             "turn_rate": 2.0,
-            "change_every": 20.0,
+            "horizon": 750,
             **AIRSPACE_DIFFICULTIES["hard"],
         },
         "extreme": {
             "shapes": ("ring", "letters"),
             "text": "SWARM",
             "turn_rate": 1.0,
-            "change_every": 50.0,
-            "horizon": 1000,
+            "change_every": 75.0,
+            "horizon": 1500,
             **AIRSPACE_DIFFICULTIES["extreme"],
         },
     }
@@ -139,6 +149,7 @@ class Formation(GoalFlight[FormationConfig]):
         """
         super().__init__(config, context)
         self.plan = FormationPlan(config, context)
+        self.holding = self.add(Holding(config.min_in_place, context, self.finished))
         turn = float(np.radians(config.turn_rate))
         clock = (context.duration, context.period)
         self.course = Course(config.leader_speed, turn, config.altitude, *clock)
@@ -187,12 +198,11 @@ class Formation(GoalFlight[FormationConfig]):
             Of the leader: "leader" (4,), position, m, and yaw, rad; "leader_velocity" (3,), m/s;
                 "course" (), yaw at the start, rad; "turn" (), rad/s. "place" (N,), index of each
                 drone's place. "asked" (), time of the last change of places, s; "formed" (),
-                duration from this change until all drones were in place, s, 0 before. "held" (N,),
-                time in place, s.
+                duration from this change until all drones were in place, s, 0 before.
         """
         drones = self.context.num_drones
         of_leader = {"leader": (4,), "leader_velocity": (3,), "course": (), "turn": ()}
-        of_shape = {"place": (drones,), "asked": (), "formed": (), "held": (drones,)}
+        of_shape = {"place": (drones,), "asked": (), "formed": ()}
         return {**super().memory(), **of_leader, **of_shape}
 
     def spawn(self, rng: np.random.Generator) -> Spawn:
@@ -245,10 +255,9 @@ class Formation(GoalFlight[FormationConfig]):
         return super().move_scene(scene, time, flying, rngs)
 
     def update_memory(self, frame: Frame, rngs: Rngs) -> None:
-        """Update times in place, and reassign places when due."""
-        memory, period = frame.scene.memory, self.context.period
+        """Update times to form and in place, and reassign places when due."""
+        memory = frame.scene.memory
         in_place = self.finished(frame) & frame.alive
-        memory["held"][:] += np.where(in_place, period, 0.0)
         flies = frame.alive.any(axis=1)
         is_first = flies & (in_place | ~frame.alive).all(axis=1) & (memory["formed"] == 0)
         np.copyto(memory["formed"], frame.time - memory["asked"], where=is_first)
@@ -270,6 +279,10 @@ class Formation(GoalFlight[FormationConfig]):
         place[alive] = self.plan.reassign(place[alive], position, leader, now, due, rng)
         memory["asked"][w], memory["formed"][w] = now, 0.0
 
+    def succeeded(self, frame: Frame) -> np.ndarray:
+        """Return which drones were in place for long enough, (W, N) bool."""
+        return self.holding.has_held(frame)
+
     def goals_end(self, frame: Frame, finished: np.ndarray) -> np.ndarray:
         """Return zeros, as places are to be held and end no episode."""
         return np.zeros_like(finished)
@@ -286,8 +299,7 @@ class Formation(GoalFlight[FormationConfig]):
             "time_to_form": formed,
         }
         by_name = {name: np.broadcast_to(one[:, None], shape) for name, one in of_world.items()}
-        share = memory["held"] / np.maximum(frame.time, self.context.period)[:, None]
-        return {**super().info(frame), **by_name, "in_place": share}
+        return {**super().info(frame), **by_name}
 
     def world_state(self) -> Mapping[str, Block]:
         """Return position, velocity and turn rate of the leader."""

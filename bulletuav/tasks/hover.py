@@ -12,12 +12,13 @@ from bulletuav.geometry.rotation import exp_map, point
 from bulletuav.registry import register
 from bulletuav.tasks.base import Task
 from bulletuav.tasks.config import TaskConfig
-from bulletuav.tasks.ends import collision, too_far
-from bulletuav.tasks.frame import Spawn, TaskContext
+from bulletuav.tasks.ends import collision, held, too_far
+from bulletuav.tasks.frame import Frame, Spawn, TaskContext
 from bulletuav.tasks.given import PLACES
-from bulletuav.tasks.ingredients import end, reward
+from bulletuav.tasks.ingredients import reward
 from bulletuav.tasks.parts.base import Rngs
 from bulletuav.tasks.parts.draws import scale_to_range
+from bulletuav.tasks.parts.holding import Holding
 from bulletuav.tasks.parts.safety import Safety
 from bulletuav.tasks.starts import check_start_distance
 
@@ -36,7 +37,8 @@ class HoverConfig(TaskConfig):
         start_speed: Maximum speed at the start, m/s.
         start_tilt: Maximum tilt at the start, about a random axis, degrees.
         start_rates: Maximum body rate at the start, rad/s.
-        goal_radius: Distance from the target within which a drone is successful, m.
+        goal_radius: Distance from the target within which a drone is in place, m.
+        min_in_place: Fraction of the episode that a drone has to be in place.
         max_distance: Distance from the target at which an episode ends, m.
         land: Whether targets are on the ground below. A drone then holds its target only by
             standing there, see `Frame.landed`.
@@ -50,14 +52,9 @@ class HoverConfig(TaskConfig):
     start_tilt: float = field(default=0.0, metadata={"most": 180.0})
     start_rates: float = field(default=0.0, metadata={"most": 100.0})
     goal_radius: float = 0.1
+    min_in_place: float = 0.5
     max_distance: float = 20.0
     land: bool = False
-
-
-@end
-def holds(distance: float, goal_radius: float, landed: bool, land: bool) -> bool:
-    """Return True if the drone is at its target, and on the ground if it has to land."""
-    return distance <= goal_radius and (landed or not land)
 
 
 @reward
@@ -135,8 +132,10 @@ class Hover(Task[HoverConfig]):
     End: terminated on any contact of collision shapes, or farther than 20 m from the target.
     Truncated after 240 decisions.
 
-    Success: the drone is within 0.1 m of its target, without conflict or collision in the episode;
-    with `land` it also stands on the ground.
+    Success: the drone was within 0.1 m of its target for half of the episode, without conflict
+    or collision; with `land` it also stood on the ground.
+
+    Infos: `in_place` is the fraction of the time for which the drone was there.
 
     Preset hover_aviary: cf2x, 240 Hz physics, 30 Hz decisions, 240 decisions and action
     `hover_rpm`, as in gym-pybullet-drones.
@@ -144,6 +143,7 @@ class Hover(Task[HoverConfig]):
 
     version = 2
     name = "hover"
+    shirkers: ClassVar = ("hover_beside", "hover_late", "hover_passing")
     defaults: ClassVar = {
         "num_drones": 1,
         "airframe": "cf2x",
@@ -193,12 +193,13 @@ class Hover(Task[HoverConfig]):
     reward: ClassVar = {"alive": 1.0, "holding": (holding, 1.0), "distance": -0.1, "speed": -0.05}
     places: ClassVar[tuple[str, ...]] = PLACES
     shows: ClassVar = {
-        "success": "at target",
+        "success": "success",
+        "in_place": "at target",
         "collision": "collisions",
         "goal_distance": "to target (m)",
     }
     ends = (collision, too_far)
-    success = holds
+    success = held
 
     def __init__(self, config: HoverConfig, context: TaskContext) -> None:
         """Place the targets, set the arena, and check the starts.
@@ -208,6 +209,7 @@ class Hover(Task[HoverConfig]):
         """
         super().__init__(config, context)
         self.safety = self.add(Safety(context.num_drones))
+        self.add(Holding(config.min_in_place, context, self._is_in_place))
         if config.land and config.take_off:
             raise ValueError(
                 "land and take_off are both on: choose one, as drones would start at their targets"
@@ -227,6 +229,11 @@ class Hover(Task[HoverConfig]):
         self.arena_low[2] = 0.0
         if config.start is None:
             self._check_start()
+
+    def _is_in_place(self, frame: Frame) -> np.ndarray:
+        """Return which drones are at their targets, on the ground if they land, (W, N) bool."""
+        in_place: np.ndarray = frame.distance <= self.config.goal_radius
+        return in_place & frame.landed if self.config.land else in_place
 
     def _check_start(self) -> None:
         """Check that drawn starts cannot overlap or touch the ground."""

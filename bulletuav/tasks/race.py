@@ -75,6 +75,7 @@ class Race(Task[RaceConfig]):
     - miss -5: 1 if the plane of the next gate was crossed beside its opening.
     - finish 50: 1 on passing the last gate.
     - overtake 0: number of drones overtaken.
+    - conflict -100: number of drones whose separation falls below d_safe = 1 m.
     - collision -100: 1 on contact, except with the ground when landing.
     - out_of_bounds -50: 1 outside the arena.
     - energy -0.001: squared change of velocity, (m/s)^2.
@@ -100,6 +101,13 @@ class Race(Task[RaceConfig]):
     version = 2
     name = "race"
     baseline = "race_pilot"
+    shirkers: ClassVar = (
+        "race_stop",
+        "race_alone",
+        "race_beside",
+        "race_waiting",
+        "race_rush",
+    )
     places: ClassVar[tuple[str, ...]] = ("start",)
     events = ("finished", "terminated")
     ends: ClassVar = (leaves_arena,)
@@ -152,6 +160,7 @@ class Race(Task[RaceConfig]):
         "miss": (miss, -5.0),
         "finish": (finish, 50.0),
         "overtake": (overtake, 0.0),
+        "conflict": -100.0,
         "collision": -100.0,
         "out_of_bounds": -50.0,
         "energy": -0.001,

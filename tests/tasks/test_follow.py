@@ -67,7 +67,7 @@ def test_reward_by_hand_and_the_target_can_be_hit(dynamics):
     aviary = bulletuav.Aviary("follow", dynamics=dynamics, target_speed=0.0, start_offset=0.0)
     aviary.reset(seeds=0)
     step = aviary.step(np.zeros((1, 1, 3)))
-    assert step.rewards[0, 0] == pytest.approx(1, abs=1e-3)
+    assert step.rewards[0, 0] == pytest.approx(3, abs=1e-3)  # alive, and in place
     dive = aviary.scene.obstacle[0, 0] - aviary.swarm.position[0, 0]
     while aviary.alive.any():
         step = aviary.step((dive / np.linalg.norm(dive))[None, None] * 0.5)

@@ -68,7 +68,8 @@ def test_drones_take_off_fly_and_land(dynamics):
 
 @pytest.mark.parametrize("dynamics", LEVELS)
 def test_hover_takes_off_or_lands(dynamics):
-    for options in ({"take_off": True}, {"land": True}):
+    for place in ("take_off", "land"):
+        options = {place: True, "min_in_place": 0.25}
         aviary = bulletuav.Aviary("hover", 2, action="velocity", dynamics=dynamics, **options)
         ever = fly(aviary, "straight", 200)
         assert ever["success"].all()
@@ -78,7 +79,8 @@ def test_hover_takes_off_or_lands(dynamics):
 
 
 def test_hovering_low_is_no_landing():
-    aviary = bulletuav.Aviary("hover", 1, action="velocity", land=True, start_offset=0.0, **POINTS)
+    options = {"land": True, "start_offset": 0.0, "min_in_place": 0.001}
+    aviary = bulletuav.Aviary("hover", 1, action="velocity", **options, **POINTS)
     aviary.reset(seeds=0)
     height = aviary.swarm.position[0, 0, 2]
     down = np.array([[[0.0, 0.0, -1.0]]])

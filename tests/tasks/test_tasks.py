@@ -142,7 +142,7 @@ def test_hover_success_and_start_options():
         False,
     ]
     goal = aviary.action.encode(aviary.scene.goal)
-    for _ in range(150):
+    for _ in range(220):
         result = aviary.step(goal)
     assert result.info["success"].all()
     aviary.close()

@@ -35,18 +35,21 @@ class FormationConfig(AirspaceOptions, FlightConfig):
         start_speed: Minimum and maximum speed at the start, m/s; the default is limited to
             max_speed.
         at_goal: Behaviour at a place: the drone has to "hold" it.
+        min_in_place: Fraction of the episode that a drone has to be in place. Shapes last equally
+            long, so that drones which keep to one shape do not reach it.
     """
 
     shapes: Any = "v"
     spacing: float = 12.0
     text: str = "A"
-    change_every: float = 20.0
+    change_every: float = 25.0
     assignment: Literal["fixed", "free"] = "fixed"
     exchange: float = 0.0
     leader_speed: float = field(default=5.0, metadata={"most": 100.0})
     turn_rate: float = field(default=0.0, metadata={"most": 180.0})
     start_speed: tuple[float, float] = (5.0, 5.0)
     at_goal: Literal["hold"] = "hold"
+    min_in_place: float = 0.5
 
     def __post_init__(self) -> None:
         """Convert shapes to tuples, so that configs can be compared and saved."""
