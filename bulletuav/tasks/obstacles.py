@@ -18,14 +18,15 @@ class ObstaclesConfig(FreeSpaceOptions, FlightConfig):
         altitude_spread: Range of altitudes of drones, goals and obstacles, centred at `altitude`,
             m.
         num_obstacles: Number of obstacles; every second one is a cube, the others are spheres.
-        num_moving: Number of moving obstacles, which are reflected at the bounds of their space.
+        num_moving: Number of moving obstacles, or the minimum and maximum of the number that is
+            drawn in each episode. They are reflected at the bounds of their space.
         start_speed: Minimum and maximum speed at the start, m/s: slow enough to stop before an
             obstacle.
     """
 
     altitude_spread: float = 30.0
     num_obstacles: int = field(default=25, metadata={"least": 0, "most": 10_000})
-    num_moving: int = field(default=12, metadata={"least": 0})
+    num_moving: int | tuple[int, int] = 12
     start_speed: tuple[float, float] = (0.0, 5.0)
 
 
