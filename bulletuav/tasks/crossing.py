@@ -7,7 +7,7 @@ import numpy as np
 
 from bulletuav.registry import register
 from bulletuav.tasks.frame import Spawn, TaskContext
-from bulletuav.tasks.goal_flight import FlightConfig, GoalFlight
+from bulletuav.tasks.goal_flight import GOAL_FLIGHT_SHIRKERS, FlightConfig, GoalFlight
 from bulletuav.tasks.parts.airspace import AirspaceOptions, clearance, require_margin
 from bulletuav.tasks.parts.difficulties import AIRSPACE_DIFFICULTIES
 from bulletuav.tasks.parts.teams import team_sizes
@@ -70,6 +70,7 @@ class Crossing(GoalFlight[CrossingConfig]):
     """
 
     name = "crossing"
+    shirkers = GOAL_FLIGHT_SHIRKERS
     team_names = ("north", "east")
     difficulties: ClassVar = {
         "easy": {"lane_spacing": 20.0, "altitude_spread": 2.0, **AIRSPACE_DIFFICULTIES["easy"]},

@@ -5,7 +5,12 @@ from typing import ClassVar
 
 from bulletuav.registry import register
 from bulletuav.tasks.frame import TaskContext
-from bulletuav.tasks.goal_flight import REWARD_WEIGHTS, FlightConfig, GoalFlight
+from bulletuav.tasks.goal_flight import (
+    GOAL_FLIGHT_SHIRKERS,
+    REWARD_WEIGHTS,
+    FlightConfig,
+    GoalFlight,
+)
 from bulletuav.tasks.parts.city_layouts import CityOptions, add_city
 from bulletuav.tasks.parts.difficulties import URBAN_DIFFICULTIES
 from bulletuav.tasks.parts.presets import URBANMARL_LIDAR_NAVIGATION
@@ -71,6 +76,7 @@ class LidarNavigation(GoalFlight[LidarNavigationConfig]):
     """
 
     name = "lidar_navigation"
+    shirkers = GOAL_FLIGHT_SHIRKERS
     presets: ClassVar = {"urbanmarl": URBANMARL_LIDAR_NAVIGATION}
     difficulties: ClassVar = {
         difficulty: {

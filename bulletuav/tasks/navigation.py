@@ -5,7 +5,7 @@ from typing import ClassVar
 
 from bulletuav.registry import register
 from bulletuav.tasks.frame import TaskContext
-from bulletuav.tasks.goal_flight import FlightConfig, GoalFlight
+from bulletuav.tasks.goal_flight import GOAL_FLIGHT_SHIRKERS, FlightConfig, GoalFlight
 from bulletuav.tasks.parts.city_layouts import CityOptions, add_city
 from bulletuav.tasks.parts.difficulties import URBAN_DIFFICULTIES
 from bulletuav.tasks.parts.presets import URBANMARL_NAVIGATION
@@ -54,6 +54,7 @@ class Navigation(GoalFlight[NavigationConfig]):
     """
 
     name = "navigation"
+    shirkers = GOAL_FLIGHT_SHIRKERS
     presets: ClassVar = {"urbanmarl": URBANMARL_NAVIGATION}
     defaults: ClassVar = {**URBAN_DEFAULTS, "horizon": 600, "difficulty": "easy"}
     difficulties: ClassVar = URBAN_DIFFICULTIES

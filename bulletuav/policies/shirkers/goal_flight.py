@@ -1,0 +1,145 @@
+"""Policies that try to be paid for flights to goals without reaching them safely.
+
+Most of them follow the baseline of the task, and only do the last part or the avoidance otherwise.
+"""
+
+from abc import abstractmethod
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
+import numpy as np
+
+from bulletuav.control.actions import limit_norm
+from bulletuav.envs.aviary import Aviary
+from bulletuav.policies.avoidance import Avoidance
+from bulletuav.policies.base import Policy
+from bulletuav.policies.orca import Orca
+from bulletuav.policies.planner import PathPlanner
+from bulletuav.policies.scripted import Scripted
+from bulletuav.policies.straight import APPROACH
+from bulletuav.registry import register
+from bulletuav.tasks.observations.observer import Observation
+from bulletuav.vehicle.swarm import Swarm
+
+STANDOFF = 1.0
+"""Distance from the edge of the goal at which drones stop or turn away, m"""
+BRAKING = 0.5
+"""Gain from distance to maximum speed, 1/s, at which a quadrotor does not overshoot"""
+NEAR = 20.0
+"""Distance from the goal at which drones turn to the nearest side of the arena, m"""
+CLOSE = 0.5
+"""Distance between collision shapes that is kept in passing, m"""
+TOP = 3.0
+"""Distance from the ceiling at which drones fly over others, m"""
+
+
+class Shirker(Policy):
+    """Base class of policies that modify the velocities of ORCA, in cities along planned paths."""
+
+    actions: ClassVar[tuple[str, ...]] = ("velocity",)
+    reads_swarm = True
+
+    def __init__(self, aviary: Aviary) -> None:
+        """Create the policy that is modified; see `Policy`."""
+        super().__init__(aviary)
+        kind = PathPlanner if aviary.task.layouts() else Orca
+        self.pilot: Avoidance = kind(aviary)
+
+    def reset(self, mask: np.ndarray) -> None:
+        """Reset the policy that is modified."""
+        self.pilot.reset(mask)
+
+    def act(self, observations: Observation, swarm: Swarm) -> np.ndarray:
+        """Modify the commanded velocities; see `Policy.act`."""
+        speed = self.aviary.options.max_speed
+        velocity = speed * self.pilot.act(observations, swarm)
+        offset = self.aviary.scene.goal - swarm.position
+        return self.encoded(limit_norm(self.modified(velocity, offset, swarm), speed))
+
+    @abstractmethod
+    def modified(self, velocity: np.ndarray, offset: np.ndarray, swarm: Swarm) -> np.ndarray:
+        """Modify velocities.
+
+        Args:
+            velocity: (W, N, 3) velocities to the goals, m/s.
+            offset: (W, N, 3) offsets to the goals, m.
+            swarm: The true state of all drones.
+
+        Returns:
+            (W, N, 3) velocities, m/s.
+        """
+
+    def memory(self) -> dict[str, Any]:
+        """Return the state of the policy that is modified."""
+        return self.pilot.memory()
+
+    def restore(self, memory: Mapping[str, Any]) -> None:
+        """Restore the state of the policy that is modified."""
+        self.pilot.restore(memory)
+
+
+@register("policy")
+class StopShort(Shirker):
+    """Fly to the goal, but stop just before its edge."""
+
+    name = "stop_short"
+
+    def modified(self, velocity: np.ndarray, offset: np.ndarray, swarm: Swarm) -> np.ndarray:
+        """Limit the speed by the distance to the edge; see `Shirker.modified`."""
+        edge = self.aviary.task.config.goal_radius + STANDOFF
+        left = np.linalg.norm(offset, axis=-1, keepdims=True) - edge
+        speed = np.linalg.norm(velocity, axis=-1, keepdims=True)
+        limit = BRAKING * np.maximum(left, 0.0)
+        slowed: np.ndarray = velocity * np.minimum(limit / np.maximum(speed, 1e-9), 1.0)
+        return slowed
+
+
+@register("policy")
+class PassClosely(Shirker):
+    """Fly to the goal and avoid contact with other drones, but not conflicts."""
+
+    name = "pass_closely"
+
+    def __init__(self, aviary: Aviary) -> None:
+        """Reduce the separation that ORCA maintains; see `Policy`."""
+        super().__init__(aviary)
+        separation = 2 * aviary.task.context.collision_radius + CLOSE
+        self.pilot.parameters = self.pilot.parameters._replace(separation=separation)
+
+    def modified(self, velocity: np.ndarray, offset: np.ndarray, swarm: Swarm) -> np.ndarray:
+        """Return the velocities; see `Shirker.modified`."""
+        return velocity
+
+
+@register("policy")
+class LeaveNearGoal(Shirker):
+    """Fly towards the goal, but near it leave the arena by the nearest side."""
+
+    name = "leave_near_goal"
+
+    def modified(self, velocity: np.ndarray, offset: np.ndarray, swarm: Swarm) -> np.ndarray:
+        """Turn to the nearest side within NEAR of the goal; see `Shirker.modified`."""
+        task = self.aviary.task
+        level = swarm.position[..., :2]
+        sides = np.concatenate([level - task.arena_low[:2], task.arena_high[:2] - level], axis=-1)
+        outwards = np.array([[-1.0, 0, 0], [0, -1, 0], [1, 0, 0], [0, 1, 0]])[sides.argmin(axis=-1)]
+        is_near = np.linalg.norm(offset, axis=-1, keepdims=True) < NEAR
+        return np.where(is_near, self.aviary.options.max_speed * outwards, velocity)
+
+
+@register("policy")
+class FlyOver(Scripted):
+    """Climb to the ceiling, fly above the goal, and descend, without avoiding anything."""
+
+    name = "fly_over"
+
+    def velocities(self, swarm: Swarm) -> np.ndarray:
+        """Return velocities to the ceiling, above the goal, or to the goal; see `Scripted`."""
+        offset = self.aviary.scene.goal - swarm.position
+        is_far = np.linalg.norm(offset[..., :2], axis=-1) > NEAR / 2
+        ceiling = self.aviary.task.arena_high[2] - TOP - swarm.position[..., 2]
+        # Drones climb before they fly level
+        is_low = is_far & (ceiling > TOP)
+        offset[..., :2] *= ~is_low[..., None]
+        offset[..., 2] = np.where(is_far, ceiling, offset[..., 2])
+        return APPROACH * offset
