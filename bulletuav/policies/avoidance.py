@@ -36,6 +36,7 @@ class Avoidance(Policy):
     Attributes:
         parameters: Parameters of collision avoidance.
         clearance: Distances to static obstacles.
+        sphere_radius: (K,) distances to maintain from the centres of obstacles, m; 0 for none.
         box: Lower and upper corner (3,) of the arena, m.
     """
 
@@ -60,7 +61,7 @@ class Avoidance(Policy):
         self.clearance = ObstacleClearance(body, MARGIN, BRAKING * speed + body + MARGIN)
         # Bounding spheres of the obstacles, inflated by the drone's radius and the margin
         radii = [one.radius + body + MARGIN for one in task.obstacles()]
-        self._sphere_radius = np.array(radii, dtype=float)
+        self.sphere_radius = np.array(radii, dtype=float)
         self.box = np.maximum(task.arena_low, LOWEST_CORNER), np.array(task.arena_high, dtype=float)
         self._buildings = tabulate_buildings(task.layouts())
 
@@ -88,7 +89,7 @@ class Avoidance(Policy):
     def spheres(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return spheres to avoid: positions and velocities (W, K, 3), and distances (K,), m."""
         scene = self.aviary.scene
-        return scene.obstacle, scene.obstacle_velocity, self._sphere_radius
+        return scene.obstacle, scene.obstacle_velocity, self.sphere_radius
 
     def traffic(self, observations: Observation, swarm: Swarm) -> Traffic:
         """Return the traffic around each drone as the drones know it."""

@@ -42,7 +42,7 @@ REWARD_WEIGHTS = {
     "concession": 0.0,
 }
 """Weights of the reward terms of all flights to goals"""
-GOAL_FLIGHT_SHIRKERS = ("stop_short", "pass_closely", "fly_over", "leave_near_goal")
+SHIRKERS = ("stop_short", "fly_over", "leave_near_goal")
 """Policies that try to be paid for flights to goals without doing them; see `Task.shirkers`"""
 
 

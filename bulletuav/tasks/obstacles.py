@@ -5,7 +5,7 @@ from typing import ClassVar
 
 from bulletuav.registry import register
 from bulletuav.tasks.frame import TaskContext
-from bulletuav.tasks.goal_flight import GOAL_FLIGHT_SHIRKERS, FlightConfig, GoalFlight
+from bulletuav.tasks.goal_flight import FlightConfig, GoalFlight
 from bulletuav.tasks.parts.difficulties import UNCERTAINTY
 from bulletuav.tasks.parts.free_space import FreeSpace, FreeSpaceOptions
 
@@ -68,10 +68,10 @@ class Obstacles(GoalFlight[ObstaclesConfig]):
     """
 
     name = "obstacles"
-    shirkers = GOAL_FLIGHT_SHIRKERS
+    shirkers = ("stop_short", "ignore_obstacles", "leave_near_goal")
     oracle = "reflecting_orca"
     difficulties: ClassVar = {
-        "easy": {"num_drones": 4, "num_moving": 0, **UNCERTAINTY["easy"]},
+        "easy": {"num_drones": 4, "num_obstacles": 35, "num_moving": 0, **UNCERTAINTY["easy"]},
         "medium": UNCERTAINTY["medium"],
         "hard": {"num_drones": 20, "num_moving": 16, **UNCERTAINTY["hard"]},
         "extreme": {

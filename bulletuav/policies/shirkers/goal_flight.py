@@ -3,7 +3,6 @@
 Most of them follow the baseline of the task, and only do the last part or the avoidance otherwise.
 """
 
-from abc import abstractmethod
 from collections.abc import Mapping
 from typing import Any, ClassVar
 
@@ -27,8 +26,10 @@ BRAKING = 0.5
 """Gain from distance to maximum speed, 1/s, at which a quadrotor does not overshoot"""
 NEAR = 20.0
 """Distance from the goal at which drones turn to the nearest side of the arena, m"""
-CLOSE = 0.5
+CLOSE = 0.2
 """Distance between collision shapes that is kept in passing, m"""
+LATE = 1.0
+"""Time horizon of avoiding contact, s"""
 TOP = 3.0
 """Distance from the ceiling at which drones fly over others, m"""
 
@@ -56,9 +57,8 @@ class Shirker(Policy):
         offset = self.aviary.scene.goal - swarm.position
         return self.encoded(limit_norm(self.modified(velocity, offset, swarm), speed))
 
-    @abstractmethod
     def modified(self, velocity: np.ndarray, offset: np.ndarray, swarm: Swarm) -> np.ndarray:
-        """Modify velocities.
+        """Modify velocities; by default not at all.
 
         Args:
             velocity: (W, N, 3) velocities to the goals, m/s.
@@ -68,6 +68,7 @@ class Shirker(Policy):
         Returns:
             (W, N, 3) velocities, m/s.
         """
+        return velocity
 
     def memory(self) -> dict[str, Any]:
         """Return the state of the policy that is modified."""
@@ -101,14 +102,22 @@ class PassClosely(Shirker):
     name = "pass_closely"
 
     def __init__(self, aviary: Aviary) -> None:
-        """Reduce the separation that ORCA maintains; see `Policy`."""
+        """Reduce the separation that ORCA maintains, and its horizon; see `Policy`."""
         super().__init__(aviary)
         separation = 2 * aviary.task.context.collision_radius + CLOSE
-        self.pilot.parameters = self.pilot.parameters._replace(separation=separation)
+        self.pilot.parameters = self.pilot.parameters._replace(separation=separation, horizon=LATE)
 
-    def modified(self, velocity: np.ndarray, offset: np.ndarray, swarm: Swarm) -> np.ndarray:
-        """Return the velocities; see `Shirker.modified`."""
-        return velocity
+
+@register("policy")
+class IgnoreObstacles(Shirker):
+    """Fly to the goal and avoid other drones, but not obstacles."""
+
+    name = "ignore_obstacles"
+
+    def __init__(self, aviary: Aviary) -> None:
+        """Remove the obstacles that ORCA avoids; see `Policy`."""
+        super().__init__(aviary)
+        self.pilot.sphere_radius = np.zeros_like(self.pilot.sphere_radius)
 
 
 @register("policy")
