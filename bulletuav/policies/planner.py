@@ -100,10 +100,13 @@ class PathFollower(Orca):
     def avoid(
         self, traffic: Traffic, preferred: np.ndarray, parameters: AvoidanceParameters
     ) -> np.ndarray:
-        """Compute `orca_velocities` that stay near the path instead of away from buildings."""
+        """Compute `orca_velocities` that near buildings stay on the path to keep clear of them."""
         paths = (self._path, self._count, self._next, self._half_width)
         tube = tube_surfaces(self.aviary.swarm.position, *paths)
-        bounds = traffic.surface[:, :, :FACES]
+        bounds, buildings = np.split(traffic.surface, [FACES], axis=2)
+        # Far from buildings, drones need space to pass each other
+        is_near = buildings[..., 3].min(axis=2, initial=np.inf) < parameters.separation
+        tube[..., 3] = np.where(is_near[..., None], tube[..., 3], np.inf)
         traffic = traffic._replace(surface=np.concatenate([bounds, tube], axis=2))
         return super().avoid(traffic, preferred, parameters)
 

@@ -71,12 +71,14 @@ class Shirker(Policy):
         return velocity
 
     def memory(self) -> dict[str, Any]:
-        """Return the state of the policy that is modified."""
-        return self.pilot.memory()
+        """Return the state, with that of the policy that is modified as "pilot"."""
+        return {**super().memory(), "pilot": self.pilot.memory()}
 
     def restore(self, memory: Mapping[str, Any]) -> None:
-        """Restore the state of the policy that is modified."""
-        self.pilot.restore(memory)
+        """Restore the state that `memory` returned."""
+        own = dict(memory)
+        self.pilot.restore(own.pop("pilot"))
+        super().restore(own)
 
 
 @register("policy")
@@ -122,18 +124,30 @@ class IgnoreObstacles(Shirker):
 
 @register("policy")
 class LeaveNearGoal(Shirker):
-    """Fly towards the goal, but near it leave the arena by the nearest side."""
+    """Fly towards the goal, but once near it leave the arena by the nearest side."""
 
     name = "leave_near_goal"
+    remembers = ("_is_leaving",)
+
+    def __init__(self, aviary: Aviary) -> None:
+        """Start on the way to the goal; see `Policy`."""
+        super().__init__(aviary)
+        self._is_leaving = np.zeros(aviary.alive.shape, dtype=bool)
+
+    def reset(self, mask: np.ndarray) -> None:
+        """Start on the way to the goal."""
+        super().reset(mask)
+        self._is_leaving[mask] = False
 
     def modified(self, velocity: np.ndarray, offset: np.ndarray, swarm: Swarm) -> np.ndarray:
-        """Turn to the nearest side within NEAR of the goal; see `Shirker.modified`."""
+        """Turn to the nearest side when within NEAR of the goal; see `Shirker.modified`."""
         task = self.aviary.task
+        self._is_leaving |= np.linalg.norm(offset, axis=-1) < NEAR
         level = swarm.position[..., :2]
         sides = np.concatenate([level - task.arena_low[:2], task.arena_high[:2] - level], axis=-1)
         outwards = np.array([[-1.0, 0, 0], [0, -1, 0], [1, 0, 0], [0, 1, 0]])[sides.argmin(axis=-1)]
-        is_near = np.linalg.norm(offset, axis=-1, keepdims=True) < NEAR
-        return np.where(is_near, self.aviary.options.max_speed * outwards, velocity)
+        leaving = self.aviary.options.max_speed * outwards
+        return np.where(self._is_leaving[..., None], leaving, velocity)
 
 
 @register("policy")
