@@ -87,6 +87,7 @@ class FreeFlight(GoalFlight[FreeFlightConfig]):
             "altitude": 120.0,
             "altitude_spread": 200.0,
             "leg": 0.0,
+            "start_speed": (5.0, 15.0),
             "num_obstacles": 0,
             "num_moving": 0,
         }

@@ -1,4 +1,4 @@
-"""Mirror images of obstacles that are reflected at their bounds, and the oracle that avoids them."""
+"""Mirror images of obstacles that are reflected, and the oracle that avoids them."""
 
 import numpy as np
 import pytest
