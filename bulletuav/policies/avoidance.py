@@ -36,6 +36,7 @@ class Avoidance(Policy):
     Attributes:
         parameters: Parameters of collision avoidance.
         clearance: Distances to static obstacles.
+        sphere_radius: (K,) distances to maintain from the centres of obstacles, m; 0 for none.
         box: Lower and upper corner (3,) of the arena, m.
     """
 
@@ -60,7 +61,7 @@ class Avoidance(Policy):
         self.clearance = ObstacleClearance(body, MARGIN, BRAKING * speed + body + MARGIN)
         # Bounding spheres of the obstacles, inflated by the drone's radius and the margin
         radii = [one.radius + body + MARGIN for one in task.obstacles()]
-        self._sphere_radius = np.array(radii, dtype=float)
+        self.sphere_radius = np.array(radii, dtype=float)
         self.box = np.maximum(task.arena_low, LOWEST_CORNER), np.array(task.arena_high, dtype=float)
         self._buildings = tabulate_buildings(task.layouts())
 
@@ -70,19 +71,25 @@ class Avoidance(Policy):
     def act(self, observations: Observation, swarm: Swarm) -> np.ndarray:
         """Command the velocities of `avoid`; see `Policy.act`."""
         traffic = self.traffic(observations, swarm)
-        preferred = preferred_velocity(
-            traffic.goal, traffic.goal_velocity, self.parameters.max_speed
-        )
-        velocity = self.avoid(traffic, preferred, self.parameters)
+        velocity = self.avoid(traffic, self.preferred(traffic, swarm), self.parameters)
         task = self.aviary.task
         if task.lands:  # the height of the goals matters for landing only
             goal_height = self.goal_height(observations, traffic)
             velocity = touch_down(velocity, traffic.goal, goal_height, task)
         return self.encoded(velocity)
 
+    def preferred(self, traffic: Traffic, swarm: Swarm) -> np.ndarray:
+        """Return the velocities without other traffic, (W, N, 3) m/s; by default to the goals."""
+        return preferred_velocity(traffic.goal, traffic.goal_velocity, self.parameters.max_speed)
+
     def goal_height(self, observations: Observation, traffic: Traffic) -> np.ndarray:
         """Return the heights of the goals above ground as the drones know them, (W, N) m."""
         return self.aviary.scene.goal[..., 2]
+
+    def spheres(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return spheres to avoid: positions and velocities (W, K, 3), and distances (K,), m."""
+        scene = self.aviary.scene
+        return scene.obstacle, scene.obstacle_velocity, self.sphere_radius
 
     def traffic(self, observations: Observation, swarm: Swarm) -> Traffic:
         """Return the traffic around each drone as the drones know it."""
@@ -91,7 +98,7 @@ class Avoidance(Policy):
         return true_traffic(
             (swarm.position, swarm.velocity, aviary.alive),
             (scene.goal, scene.goal_velocity),
-            (scene.obstacle, scene.obstacle_velocity, self._sphere_radius),
+            self.spheres(),
             self.box,
             scene.layout,
             self._buildings,
@@ -106,7 +113,7 @@ class Avoidance(Policy):
 
         Args:
             traffic: The traffic around each drone.
-            preferred: (W, N, 3) preferred velocities, straight to the goals, m/s.
+            preferred: (W, N, 3) preferred velocities, m/s.
             parameters: Parameters of collision avoidance.
 
         Returns:

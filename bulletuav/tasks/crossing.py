@@ -7,7 +7,12 @@ import numpy as np
 
 from bulletuav.registry import register
 from bulletuav.tasks.frame import Spawn, TaskContext
-from bulletuav.tasks.goal_flight import FlightConfig, GoalFlight
+from bulletuav.tasks.goal_flight import (
+    REWARD_WEIGHTS,
+    SHIRKERS,
+    FlightConfig,
+    GoalFlight,
+)
 from bulletuav.tasks.parts.airspace import AirspaceOptions, clearance, require_margin
 from bulletuav.tasks.parts.difficulties import AIRSPACE_DIFFICULTIES
 from bulletuav.tasks.parts.teams import team_sizes
@@ -53,7 +58,7 @@ class Crossing(GoalFlight[CrossingConfig]):
 
     - progress 5: decrease of the distance to the goal, m.
     - goal 50: 1 in the decision in which the drone reaches the goal.
-    - conflict -200: number of drones whose separation falls below d_safe = 5 m.
+    - conflict -500: number of drones whose separation falls below d_safe = 5 m.
     - warning -5: sum over other drones of their proximity, linear from 0 at 10 m to 1 at 5 m.
     - collision -200: 1 on contact.
     - out_of_bounds -50: 1 outside the arena.
@@ -70,7 +75,10 @@ class Crossing(GoalFlight[CrossingConfig]):
     """
 
     name = "crossing"
+    shirkers = (*SHIRKERS, "pass_closely")
     team_names = ("north", "east")
+    # At -200, drones in conflict earn nine tenths of the pay of safe ones
+    reward: ClassVar = {**REWARD_WEIGHTS, "conflict": -500.0}
     difficulties: ClassVar = {
         "easy": {"lane_spacing": 20.0, "altitude_spread": 2.0, **AIRSPACE_DIFFICULTIES["easy"]},
         "medium": AIRSPACE_DIFFICULTIES["medium"],

@@ -5,10 +5,13 @@ from typing import Any, ClassVar
 
 from bulletuav.registry import register
 from bulletuav.tasks.frame import TaskContext
-from bulletuav.tasks.goal_flight import FlightConfig, GoalFlight
+from bulletuav.tasks.goal_flight import SHIRKERS, FlightConfig, GoalFlight
 from bulletuav.tasks.parts.difficulties import AIRSPACE_DIFFICULTIES
 from bulletuav.tasks.parts.free_space import FreeSpace, FreeSpaceOptions
 from bulletuav.tasks.parts.presets import UAVCONFLICT
+
+DENSE: dict[str, Any] = {"altitude_spread": 4.0, "start_speed": (0.0, 5.0)}
+"""Options with which half of few drones encounter another drone"""
 
 
 @dataclass(frozen=True)
@@ -32,9 +35,10 @@ class FreeFlightConfig(FreeSpaceOptions, FlightConfig):
 class FreeFlight(GoalFlight[FreeFlightConfig]):
     """Drones fly between random positions of one unstructured airspace.
 
-    Drones start at random positions in a square of 80 m, at heights of 65 to 75 m, and fly in
-    random directions at 5 to 15 m/s. Goals are drawn in the same way. The difficulty sets the size
-    of the square, small enough that about half of the drones encounter another drone.
+    Drones start at random positions in a square of 60 m, at heights of 68 to 72 m, and fly in
+    random directions at up to 5 m/s. Goals are drawn in the same way. The difficulty sets the size
+    of the square, small enough that about half of the drones encounter another drone. At hard and
+    extreme, heights are 65 to 75 m, and drones start at 5 to 15 m/s.
 
     Observation, Box(55) per drone with the defaults, in world axes (east, north, up): position,
     velocity, direction and distance of the goal, the nearest active drones, and the nearest
@@ -68,9 +72,10 @@ class FreeFlight(GoalFlight[FreeFlightConfig]):
     """
 
     name = "free_flight"
+    shirkers = (*SHIRKERS, "pass_closely")
     difficulties: ClassVar = {
-        "easy": {**AIRSPACE_DIFFICULTIES["easy"], "area": 50.0},
-        "medium": {**AIRSPACE_DIFFICULTIES["medium"], "area": 80.0},
+        "easy": {**AIRSPACE_DIFFICULTIES["easy"], "area": 50.0, **DENSE},
+        "medium": {**AIRSPACE_DIFFICULTIES["medium"], "area": 60.0, **DENSE},
         "hard": {**AIRSPACE_DIFFICULTIES["hard"], "area": 140.0},
         "extreme": {**AIRSPACE_DIFFICULTIES["extreme"], "area": 250.0},
     }
@@ -82,6 +87,7 @@ class FreeFlight(GoalFlight[FreeFlightConfig]):
             "altitude": 120.0,
             "altitude_spread": 200.0,
             "leg": 0.0,
+            "start_speed": (5.0, 15.0),
             "num_obstacles": 0,
             "num_moving": 0,
         }

@@ -42,6 +42,8 @@ REWARD_WEIGHTS = {
     "concession": 0.0,
 }
 """Weights of the reward terms of all flights to goals"""
+SHIRKERS = ("stop_short", "fly_over", "leave_near_goal")
+"""Policies that try to be paid for flights to goals without doing them; see `Task.shirkers`"""
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,12 @@ from typing import ClassVar
 
 from bulletuav.registry import register
 from bulletuav.tasks.frame import TaskContext
-from bulletuav.tasks.goal_flight import REWARD_WEIGHTS, FlightConfig, GoalFlight
+from bulletuav.tasks.goal_flight import (
+    SHIRKERS,
+    FlightConfig,
+    GoalFlight,
+)
+from bulletuav.tasks.navigation import CITY_WEIGHTS
 from bulletuav.tasks.parts.city_layouts import CityOptions, add_city
 from bulletuav.tasks.parts.difficulties import URBAN_DIFFICULTIES
 from bulletuav.tasks.parts.presets import URBANMARL_LIDAR_NAVIGATION
@@ -51,7 +56,7 @@ class LidarNavigation(GoalFlight[LidarNavigationConfig]):
     Reward per decision, the weighted sum of these terms (see `GoalFlight` for all terms):
 
     - progress 5: decrease of the distance to the goal, m.
-    - goal 50: 1 in the decision in which the drone reaches the goal.
+    - goal 300: 1 in the decision in which the drone reaches the goal.
     - conflict -200: number of drones whose separation falls below d_safe = 2 m.
     - warning -5: sum over other drones of their proximity, linear from 0 at 4 m to 1 at 2 m.
     - collision -200: 1 on contact, also with a building.
@@ -71,6 +76,7 @@ class LidarNavigation(GoalFlight[LidarNavigationConfig]):
     """
 
     name = "lidar_navigation"
+    shirkers = SHIRKERS
     presets: ClassVar = {"urbanmarl": URBANMARL_LIDAR_NAVIGATION}
     difficulties: ClassVar = {
         difficulty: {
@@ -83,7 +89,7 @@ class LidarNavigation(GoalFlight[LidarNavigationConfig]):
     baseline = "planner"
     observation = ("velocity", "goal", "battery", "room", "lidar")
     required_sensors = ("lidar",)
-    reward: ClassVar = {**REWARD_WEIGHTS, "proximity": -1.0, "distance": 0.0}
+    reward: ClassVar = {**CITY_WEIGHTS, "proximity": -1.0, "distance": 0.0}
 
     def __init__(self, config: LidarNavigationConfig, context: TaskContext) -> None:
         """Create the cities, and check legs and the range of the term `proximity`.

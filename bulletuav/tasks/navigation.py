@@ -5,11 +5,14 @@ from typing import ClassVar
 
 from bulletuav.registry import register
 from bulletuav.tasks.frame import TaskContext
-from bulletuav.tasks.goal_flight import FlightConfig, GoalFlight
+from bulletuav.tasks.goal_flight import REWARD_WEIGHTS, SHIRKERS, FlightConfig, GoalFlight
 from bulletuav.tasks.parts.city_layouts import CityOptions, add_city
 from bulletuav.tasks.parts.difficulties import URBAN_DIFFICULTIES
 from bulletuav.tasks.parts.presets import URBANMARL_NAVIGATION
 from bulletuav.tasks.parts.urban import URBAN_DEFAULTS, CityLegs, UrbanFlightOptions
+
+CITY_WEIGHTS = {**REWARD_WEIGHTS, "goal": 300.0}
+"""Weights of the reward terms; at 50, drones that stop just before the goal earn nine tenths"""
 
 
 @dataclass(frozen=True)
@@ -36,7 +39,7 @@ class Navigation(GoalFlight[NavigationConfig]):
     Reward per decision, the weighted sum of these terms (see `GoalFlight` for all terms):
 
     - progress 5: decrease of the distance to the goal, m.
-    - goal 50: 1 in the decision in which the drone reaches the goal.
+    - goal 300: 1 in the decision in which the drone reaches the goal.
     - conflict -200: number of drones whose separation falls below d_safe = 2 m.
     - warning -5: sum over other drones of their proximity, linear from 0 at 4 m to 1 at 2 m.
     - collision -200: 1 on contact, also with a building.
@@ -54,10 +57,12 @@ class Navigation(GoalFlight[NavigationConfig]):
     """
 
     name = "navigation"
+    shirkers = SHIRKERS
     presets: ClassVar = {"urbanmarl": URBANMARL_NAVIGATION}
     defaults: ClassVar = {**URBAN_DEFAULTS, "horizon": 600, "difficulty": "easy"}
     difficulties: ClassVar = URBAN_DIFFICULTIES
     baseline = "planner"
+    reward: ClassVar = CITY_WEIGHTS
     observation = ("position", "velocity", "goal", "battery", "room", "neighbours")
 
     def __init__(self, config: NavigationConfig, context: TaskContext) -> None:

@@ -18,14 +18,15 @@ class ObstaclesConfig(FreeSpaceOptions, FlightConfig):
         altitude_spread: Range of altitudes of drones, goals and obstacles, centred at `altitude`,
             m.
         num_obstacles: Number of obstacles; every second one is a cube, the others are spheres.
-        num_moving: Number of moving obstacles, which are reflected at the bounds of their space.
+        num_moving: Number of moving obstacles, or the minimum and maximum of the number that is
+            drawn in each episode. They are reflected at the bounds of their space.
         start_speed: Minimum and maximum speed at the start, m/s: slow enough to stop before an
             obstacle.
     """
 
     altitude_spread: float = 30.0
     num_obstacles: int = field(default=25, metadata={"least": 0, "most": 10_000})
-    num_moving: int = field(default=12, metadata={"least": 0})
+    num_moving: int | tuple[int, int] = 12
     start_speed: tuple[float, float] = (0.0, 5.0)
 
 
@@ -67,8 +68,10 @@ class Obstacles(GoalFlight[ObstaclesConfig]):
     """
 
     name = "obstacles"
+    shirkers = ("stop_short", "ignore_obstacles", "leave_near_goal")
+    oracle = "reflecting_orca"
     difficulties: ClassVar = {
-        "easy": {"num_drones": 4, "num_moving": 0, **UNCERTAINTY["easy"]},
+        "easy": {"num_drones": 4, "num_obstacles": 35, "num_moving": 0, **UNCERTAINTY["easy"]},
         "medium": UNCERTAINTY["medium"],
         "hard": {"num_drones": 20, "num_moving": 16, **UNCERTAINTY["hard"]},
         "extreme": {

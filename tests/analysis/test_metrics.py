@@ -54,6 +54,9 @@ EXACT = {
 }
 
 
+EXACT_CONVERGE = {"dynamics": "single_integrator", "jitter": 0.0}
+
+
 def at_ten(aviary):
     """Everyone straight ahead at 10 m/s: the first half north, the others east."""
     actions = np.zeros((aviary.num_worlds, aviary.num_drones, 3))
@@ -71,6 +74,8 @@ def test_one_drone_that_flies_straight_by_hand():
     assert row["length"] == pytest.approx(19.8)
     assert row["goal_distance"] == pytest.approx(2.0)
     assert row["path_efficiency"] == pytest.approx(1.0)
+    assert row["extra_path"] == pytest.approx(0.0, abs=1e-9)
+    assert row["extra_time"] == pytest.approx(1.0)  # at half of max_speed
     assert row["jerk"] == pytest.approx(0, abs=1e-9)
     assert row["fairness"] == 1
     assert row["throughput"] == pytest.approx(60 / 19.8)
@@ -92,7 +97,7 @@ def test_two_that_cross_by_hand():
     assert 9.9 <= row["length"] <= 10.0
     assert row["min_separation"] < 0.7
     assert row["min_time_to_conflict"] == 0
-    assert np.isnan(row["path_efficiency"])
+    assert all(np.isnan(row[name]) for name in ("path_efficiency", "extra_path", "extra_time"))
     assert row["fairness"] == pytest.approx(1.0)
 
 
@@ -132,12 +137,25 @@ def test_jerk_and_efficiency_by_hand():
     steps = 198 + 20
     assert row["length"] == pytest.approx(steps / 10)
     assert row["path_efficiency"] == pytest.approx(198 / (steps - 0), rel=1e-9)
+    assert row["extra_path"] == pytest.approx(20 / 198, rel=1e-9)
+    assert row["extra_time"] == pytest.approx(steps / 99 - 1, rel=1e-9)
     changes = [
         np.sqrt(2) * 10,
         20.0,
         np.sqrt(2) * 10,
     ]  # at three decisions; each a jump up and down of acceleration
     assert row["jerk"] == pytest.approx(2 * sum(changes) / 0.1**2 / (steps - 1), rel=1e-9)
+
+
+def test_a_drone_that_starts_at_its_goal_has_no_extra_path_or_time():
+    """Only drone 1 counts, which flies 20 m at half of max_speed, to within 2 m of its goal."""
+    starts, goals = [(0, 0, 40), (20, 0, 40)], [(0, 0, 40), (40, 0, 40)]
+    act = lambda aviary: np.array([[(0.0, 0, 0), (0.5, 0, 0)]])  # noqa: E731
+    places = {"start": starts, "goal": goals, "start_speed": (0.0, 0.0)}
+    (row,) = metered("converge", act, num_drones=2, **(EXACT_CONVERGE | places))
+    assert row["drone_success"] == 1
+    assert row["extra_path"] == pytest.approx(0.0, abs=1e-9)
+    assert row["extra_time"] == pytest.approx(1.0)
 
 
 def test_energy_of_hovering_is_torque_times_speed():

@@ -47,7 +47,8 @@ def test_increments_lead_where_velocities_do(name):
         aviary = bulletuav.Aviary("crossing", action=action, **CALM)
         policy = find_policy(name)(aviary)
         fly(aviary, policy)
-        assert aviary.first_info()["success"].any()
+        # Straight flights conflict with each other, which is no success
+        assert (aviary.first_info()["goal_distance"] <= aviary.task.config.goal_radius).any()
         aviary.close()
 
 

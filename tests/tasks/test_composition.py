@@ -102,7 +102,7 @@ def test_a_heading_may_be_a_number_of_python_that_no_array_holds():
 
 
 def test_random_headings_are_uniform_in_space():
-    aviary = made("free_flight", 100, num_drones=8)
+    aviary = made("free_flight", 100, num_drones=8, start_speed=(5.0, 15.0))
     velocity = aviary.swarm.velocity.reshape(-1, 3)
     speed = np.linalg.norm(velocity, axis=1)
     assert speed.min() >= 5.0

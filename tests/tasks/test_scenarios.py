@@ -116,3 +116,68 @@ def test_a_hundred_drones_fly_in_extreme_converge():
     assert aviary.alive.sum() == 100
     assert np.isfinite(step.observations).all()
     aviary.close()
+
+
+RANGES = [
+    ({"num_moving": (5, 30)}, "num_moving \\(5, 30\\) of 25"),
+    ({"num_moving": (9, 4)}, "from low to high is needed"),
+    ({"num_moving": (-1, 4)}, "num_moving is -1"),
+    ({"num_moving": (1, 2, 3)}, "num_moving is .* of 2 values is needed"),
+    ({"num_moving": 2.5}, "num_moving is 2.5"),
+    ({"obstacle_speed": (3.0, -3.0)}, "obstacle_speed is .* from low to high"),
+    ({"obstacle_speed": (0.0, 200.0)}, "at most 100"),
+    ({"obstacle_speed": (-200.0, 0.0)}, "at least -100"),
+    ({"obstacle_speed": -1.0}, "must not be negative"),
+    ({"obstacle_speed": "fast"}, "a finite number is needed"),
+    ({"obstacle_radius": (5.0, 3.0)}, "from low to high"),
+    ({"obstacle_radius": 0.0}, "above 0"),
+]
+
+
+@pytest.mark.parametrize(("options", "said"), RANGES)
+def test_ranges_of_obstacles_that_cannot_be_are_refused(options, said):
+    with pytest.raises(ValueError, match=said):
+        bulletuav.Aviary("obstacles", **options)
+
+
+@pytest.mark.parametrize("task", ["obstacles", "crossing"])
+def test_obstacles_are_drawn_from_ranges_in_each_episode(task):
+    """Task `obstacles` draws them with the starts, and `crossing` afterwards."""
+    options = {"num_drones": 1, "num_obstacles": 12, "num_moving": (3, 6), "obstacle_radius": 4.0}
+    options |= {"obstacle_speed": (-2.0, 5.0), "dynamics": "single_integrator", **CALM}
+    aviary = bulletuav.Aviary(task, 200, **options)
+    aviary.reset(seeds=list(range(200)))
+    velocity = aviary.scene.obstacle_velocity.copy()
+    counts = (velocity != 0).any(axis=-1).sum(axis=1)
+    assert set(counts.tolist()) == {3, 4, 5, 6}
+    moving = np.arange(12) < counts[:, None]
+    np.testing.assert_array_equal((velocity != 0).any(axis=-1), moving)
+    drawn = velocity[moving]
+    assert -2.0 <= drawn.min() < -1.9
+    assert 4.9 < drawn.max() <= 5.0
+    assert {obstacle.radius for obstacle in aviary.task.obstacles()} == {pytest.approx(4.0)}
+    # The same seeds give the same episodes
+    aviary.reset(seeds=list(range(200)))
+    np.testing.assert_array_equal(aviary.scene.obstacle_velocity, velocity)
+    before = aviary.scene.obstacle.copy()
+    aviary.step(np.zeros((200, 1, 3)))
+    moved = (aviary.scene.obstacle != before).any(axis=-1)
+    np.testing.assert_array_equal(moved, moving)
+    aviary.close()
+
+
+@pytest.mark.parametrize("task", ["obstacles", "crossing"])
+def test_a_range_of_one_value_draws_what_a_number_draws(task):
+    options = {"num_drones": 1, "num_obstacles": 12, "dynamics": "single_integrator", **CALM}
+    drawn = []
+    for numbers in (
+        {"num_moving": 5, "obstacle_speed": 3.0, "obstacle_radius": 4.0},
+        {"num_moving": (5, 5), "obstacle_speed": (-3.0, 3.0), "obstacle_radius": (4.0, 4.0)},
+    ):
+        aviary = bulletuav.Aviary(task, 3, **options, **numbers)
+        aviary.reset(seeds=[0, 1, 2])
+        scene = aviary.scene
+        drawn.append((scene.obstacle.copy(), scene.obstacle_velocity.copy(), scene.goal.copy()))
+        aviary.close()
+    for one, other in zip(*drawn, strict=True):
+        np.testing.assert_array_equal(one, other)

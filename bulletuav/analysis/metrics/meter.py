@@ -180,7 +180,14 @@ class Meter:
         if not self._aviary.task.has_goals:
             # A task without goals has no distances to goals.
             row |= dict.fromkeys(
-                ("goal_distance", "path_efficiency", "fairness", "throughput"),
+                (
+                    "goal_distance",
+                    "path_efficiency",
+                    "extra_path",
+                    "extra_time",
+                    "fairness",
+                    "throughput",
+                ),
                 np.nan,
             )
         if not self._aviary.task.num_targets:
@@ -198,6 +205,12 @@ class Meter:
         made_good = np.maximum(self._initial_distance[w] - self._goal_distance[w], 0.0)
         progress_per_metre = made_good / np.maximum(self._path_length[w], 1e-9)
         efficiency = np.minimum(progress_per_metre, 1.0)[arrived]
+        # The shortest possible path and time; a start at the goal has neither
+        flown = arrived & (made_good > 0)
+        shortest = made_good[flown]
+        extra_path = np.maximum(self._path_length[w][flown] / shortest - 1, 0.0)
+        times = self._decisions[w][flown] * self._period
+        extra_time = times * aviary.options.max_speed / shortest - 1
         # In games between teams the rules of the game say what is safe
         is_game = aviary.task.is_game
         safely = arrived if is_game else arrived & ~self._collided[w] & ~self._in_conflict[w]
@@ -216,6 +229,8 @@ class Meter:
             "length": length,
             "goal_distance": self._goal_distance[w].mean(),
             "path_efficiency": efficiency.mean() if len(efficiency) else np.nan,
+            "extra_path": extra_path.mean() if len(extra_path) else np.nan,
+            "extra_time": extra_time.mean() if len(extra_time) else np.nan,
             "jerk": self._jerk[w].sum() / max(self._jerks[w].sum(), 1.0),
             "energy": self._energy[w].mean() if has_rotors else np.nan,
             "messages": self._messages[w] if aviary.communicates else np.nan,

@@ -26,6 +26,13 @@ METRICS = {
     "length": "duration of the episode, s",
     "goal_distance": "distance to the goal at the end, m, mean over drones",
     "path_efficiency": ("progress to the goal over path length, mean over drones that succeeded"),
+    "extra_path": (
+        "path length over progress to the goal, minus 1, mean over drones that succeeded"
+    ),
+    "extra_time": (
+        "flight time over that of the progress to the goal at max_speed, minus 1, mean over drones "
+        "that succeeded"
+    ),
     "jerk": "jerk, m/s^3, mean over drones and decisions",
     "energy": (
         "mechanical energy of the rotors, J, mean over drones; none if the dynamics have no rotors"

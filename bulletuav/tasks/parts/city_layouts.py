@@ -62,9 +62,10 @@ class CityOptions:
         height: Minimum and maximum height of starts and goals, m. They are outdoors.
         ceiling: Maximum height of the airspace, m.
         min_separation: Minimum distance between starts, and between goals, m.
-        obstacle_radius: Minimum and maximum radius of the obstacles' bounding spheres, m: they have
-            to fit into streets.
-        obstacle_speed: Maximum speed of an obstacle on each axis, m/s.
+        obstacle_radius: Radius of the obstacles' bounding spheres, or its minimum and maximum, m:
+            they have to fit into streets.
+        obstacle_speed: Maximum speed of an obstacle on each axis, or the minimum and maximum of its
+            velocity on each axis, m/s.
     """
 
     city: Any = "urban"
@@ -75,8 +76,8 @@ class CityOptions:
     height: tuple[float, float] = (5.0, 25.0)
     ceiling: float = 120.0
     min_separation: float = 20.0
-    obstacle_radius: tuple[float, float] = (0.5, 2.0)
-    obstacle_speed: float = field(default=2.0, metadata={"most": 100.0})
+    obstacle_radius: float | tuple[float, float] = (0.5, 2.0)
+    obstacle_speed: float | tuple[float, float] = 2.0
 
 
 def make_cities(config: CityOptions) -> tuple[City, ...]:

@@ -119,7 +119,7 @@ class FreeSpace(Starts):
         obstacle, velocity = np.empty((2, config.num_obstacles, 3))
         start, goal = np.empty((2, self._num_drones, 3))
         corners = (self.low, self.high, self._start_high)
-        numbers = (config.obstacle_speed, config.num_moving, config.jitter)
+        numbers = (self._field.velocity_range, self._field.draw_num_moving(rng), config.jitter)
         places = (obstacle, velocity, start, goal)
         draw_places(get_random_source(rng), *corners, self._rules, *numbers, *places)
         return Spawn(start, goal, obstacle=obstacle, obstacle_velocity=velocity)

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from bulletuav.compiled.kernel import kernel
+from bulletuav.errors import as_int, as_sequence, finite, shown
 from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.geometry.rotation import dot, minus, point
 from bulletuav.tasks.base import Task
@@ -17,6 +18,8 @@ from bulletuav.tasks.parts.headings import check_heading, heading_directions, le
 
 GOLDEN_RATIO = (np.sqrt(5) - 1) / 2
 """Multiples modulo 1 spread sizes evenly over any number of obstacles"""
+MAX_SPEED = 100.0
+"""Maximum speed of obstacles on each axis, m/s"""
 MAX_TRIES = 1000
 """Maximum number of draws of an obstacle until it is clear of starts, goals and buildings"""
 
@@ -30,17 +33,19 @@ class ObstacleOptions:
             angle from east to north, or one angle for each drone, degrees. By default drones that
             start in flight fly towards their goals, and noses point east.
         num_obstacles: Number of obstacles; every second one is a cube, the others are spheres.
-        num_moving: Number of moving obstacles, which are reflected at the bounds of their space.
-        obstacle_radius: Minimum and maximum radius of the obstacles' bounding spheres, m. Sizes are
-            evenly spread in between.
-        obstacle_speed: Maximum speed of an obstacle on each axis, m/s.
+        num_moving: Number of moving obstacles, or the minimum and maximum of the number that is
+            drawn in each episode. They are reflected at the bounds of their space.
+        obstacle_radius: Radius of the obstacles' bounding spheres, or its minimum and maximum, m.
+            Sizes are evenly spread in between.
+        obstacle_speed: Maximum speed of an obstacle on each axis, or the minimum and maximum of its
+            velocity on each axis, m/s. Velocities are drawn in each episode.
     """
 
     heading: Any = None
     num_obstacles: int = field(default=0, metadata={"least": 0, "most": 10_000})
-    num_moving: int = field(default=0, metadata={"least": 0})
-    obstacle_radius: tuple[float, float] = (3.0, 10.0)
-    obstacle_speed: float = field(default=5.0, metadata={"most": 100.0})
+    num_moving: int | tuple[int, int] = 0
+    obstacle_radius: float | tuple[float, float] = (3.0, 10.0)
+    obstacle_speed: float | tuple[float, float] = 5.0
 
 
 class ObstacleField(Part):
@@ -50,6 +55,7 @@ class ObstacleField(Part):
         radius: (K,) radii of the obstacles' bounding spheres, m.
         min_distance: (K,) minimum distances of their centres from starts and goals, m.
         bounds: Corners (3,) of the box of their centres, m; None for the task's arena.
+        velocity_range: Minimum and maximum velocity of moving obstacles on each axis, m/s.
     """
 
     def __init__(self, task: Task[Any]) -> None:
@@ -65,21 +71,28 @@ class ObstacleField(Part):
         self._config, self._task, context = config, task, task.context
         self.bounds: tuple[np.ndarray, np.ndarray] | None = None
         check_heading(config.heading, context.num_drones, task.has_goals)
-        smallest, largest = config.obstacle_radius
+        smallest, largest = as_range("obstacle_radius", config.obstacle_radius)
         if not 0 < smallest <= largest:
             raise ValueError(
                 f"obstacle_radius is {config.obstacle_radius}: from low to high, above 0, is needed"
             )
-        if config.num_moving > config.num_obstacles:
+        self.velocity_range = _velocity_range(config.obstacle_speed)
+        fewest, self._max_moving = self._num_moving = _moving_range(config.num_moving)
+        if not fewest <= self._max_moving <= config.num_obstacles:
             raise ValueError(
-                f"num_moving {config.num_moving} of {config.num_obstacles} obstacles: "
-                f"at most all can move"
+                f"num_moving {shown(config.num_moving)} of {config.num_obstacles} obstacles: "
+                f"from low to high is needed, and at most all can move"
             )
         index = np.arange(config.num_obstacles)
         sizes = smallest + (largest - smallest) * (index * GOLDEN_RATIO % 1)
         self._bodies = tuple(_body(k, radius) for k, radius in enumerate(sizes.tolist()))
         self.radius = np.array([body.radius for body in self._bodies])
         self.min_distance = self.radius + max(2 * context.collision_radius, task.config.d_safe)
+
+    def draw_num_moving(self, rng: np.random.Generator) -> int:
+        """Draw the number of moving obstacles of an episode."""
+        fewest, most = self._num_moving
+        return fewest if fewest == most else int(rng.integers(fewest, most, endpoint=True))
 
     def obstacles(self) -> Sequence[Obstacle]:
         """Return the obstacles, moving ones first."""
@@ -114,9 +127,8 @@ class ObstacleField(Part):
         obstacle = np.array(drawn, dtype=float)
         velocity = spawn.obstacle_velocity
         if not was_drawn:
-            fastest = self._config.obstacle_speed
-            velocity = rng.uniform(-fastest, fastest, shape)
-            velocity[self._config.num_moving :] = 0.0
+            velocity = rng.uniform(*self.velocity_range, shape)
+            velocity[self.draw_num_moving(rng) :] = 0.0
         goal = np.broadcast_to(spawn.goal, spawn.position.shape)
         places = np.concatenate([spawn.position, goal], dtype=float)
         tries = np.zeros(len(obstacle), dtype=int)
@@ -168,7 +180,7 @@ class ObstacleField(Part):
         Returns:
             Whether any obstacle may have moved.
         """
-        moving = self._config.num_moving
+        moving = self._max_moving
         if not moving:
             return False
         low, high = self.box()
@@ -217,6 +229,53 @@ def find_first_near(
             if not math.sqrt(dot(away, away)) > min_distance[k]:
                 return k
     return int(obstacle.shape[0])
+
+
+def find_obstacle_box(task: Task[Any]) -> tuple[np.ndarray, np.ndarray] | None:
+    """Return the corners (3,) of the box of a task's obstacles, m; None without an `ObstacleField`.
+
+    Args:
+        task: Any task.
+    """
+    return next((part.box() for part in task.parts if isinstance(part, ObstacleField)), None)
+
+
+def as_range(name: str, value: Any) -> tuple[float, float]:
+    """Return the range of an option: the given pair of numbers, or one number twice.
+
+    Args:
+        name: Name of the option.
+        value: A number, or minimum and maximum.
+
+    Raises:
+        ValueError: If the value is of another type.
+    """
+    pair = as_sequence(name, value, 2) if isinstance(value, list | tuple | np.ndarray) else ()
+    low, high = (finite(name, one) for one in pair or (value, value))
+    return low, high
+
+
+def _velocity_range(obstacle_speed: Any) -> tuple[float, float]:
+    """Return the range of the option `obstacle_speed`; a single number is its maximum."""
+    low, high = as_range("obstacle_speed", obstacle_speed)
+    if not isinstance(obstacle_speed, list | tuple | np.ndarray):
+        if high < 0:
+            raise ValueError(f"obstacle_speed is {high:g}: it must not be negative")
+        low = -high
+    if low > high:
+        raise ValueError(f"obstacle_speed is {obstacle_speed}: from low to high is needed")
+    finite("obstacle_speed", low, -MAX_SPEED)
+    finite("obstacle_speed", high, most=MAX_SPEED)
+    return low, high
+
+
+def _moving_range(num_moving: Any) -> tuple[int, int]:
+    """Return the range of the option `num_moving`."""
+    if isinstance(num_moving, list | tuple | np.ndarray):
+        fewest, most = as_sequence("num_moving", num_moving, 2)
+    else:
+        fewest = most = num_moving
+    return as_int("num_moving", fewest, 0), as_int("num_moving", most, 0)
 
 
 def _body(index: int, radius: float) -> Obstacle:

@@ -79,7 +79,7 @@ def draw_places(
     high: np.ndarray,
     start_high: np.ndarray,
     rules: PlacementRules,
-    fastest: float,
+    velocity_range: tuple[float, float],
     moving: int,
     jitter: float,
     obstacle: np.ndarray,
@@ -95,7 +95,7 @@ def draw_places(
         high: (3,) upper corner of the box, m.
         start_high: (3,) upper corner of the box of starts, m.
         rules: Minimum distances.
-        fastest: Maximum speed of obstacles on each axis, m/s.
+        velocity_range: Minimum and maximum velocity of obstacles on each axis, m/s.
         moving: Number of moving obstacles.
         jitter: Maximum random offset of a start on each axis, m.
         obstacle: (K, 3) output, m.
@@ -110,7 +110,7 @@ def draw_places(
     for k in range(obstacle.shape[0]):
         for m in range(3):
             # Drawn for all, so that `moving` does not affect later draws
-            drawn = draw_uniform(source, -fastest, fastest)
+            drawn = draw_uniform(source, velocity_range[0], velocity_range[1])
             velocity[k, m] = drawn if k < moving else 0.0
     _place_sequentially(source, low, start_high, start, obstacle, rules, start[:0])
     _place_sequentially(source, low, high, goal, obstacle, rules, start)
