@@ -70,19 +70,25 @@ class Avoidance(Policy):
     def act(self, observations: Observation, swarm: Swarm) -> np.ndarray:
         """Command the velocities of `avoid`; see `Policy.act`."""
         traffic = self.traffic(observations, swarm)
-        preferred = preferred_velocity(
-            traffic.goal, traffic.goal_velocity, self.parameters.max_speed
-        )
-        velocity = self.avoid(traffic, preferred, self.parameters)
+        velocity = self.avoid(traffic, self.preferred(traffic, swarm), self.parameters)
         task = self.aviary.task
         if task.lands:  # the height of the goals matters for landing only
             goal_height = self.goal_height(observations, traffic)
             velocity = touch_down(velocity, traffic.goal, goal_height, task)
         return self.encoded(velocity)
 
+    def preferred(self, traffic: Traffic, swarm: Swarm) -> np.ndarray:
+        """Return the velocities without other traffic, (W, N, 3) m/s; by default to the goals."""
+        return preferred_velocity(traffic.goal, traffic.goal_velocity, self.parameters.max_speed)
+
     def goal_height(self, observations: Observation, traffic: Traffic) -> np.ndarray:
         """Return the heights of the goals above ground as the drones know them, (W, N) m."""
         return self.aviary.scene.goal[..., 2]
+
+    def spheres(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return spheres to avoid: positions and velocities (W, K, 3), and distances (K,), m."""
+        scene = self.aviary.scene
+        return scene.obstacle, scene.obstacle_velocity, self._sphere_radius
 
     def traffic(self, observations: Observation, swarm: Swarm) -> Traffic:
         """Return the traffic around each drone as the drones know it."""
@@ -91,7 +97,7 @@ class Avoidance(Policy):
         return true_traffic(
             (swarm.position, swarm.velocity, aviary.alive),
             (scene.goal, scene.goal_velocity),
-            (scene.obstacle, scene.obstacle_velocity, self._sphere_radius),
+            self.spheres(),
             self.box,
             scene.layout,
             self._buildings,
@@ -106,7 +112,7 @@ class Avoidance(Policy):
 
         Args:
             traffic: The traffic around each drone.
-            preferred: (W, N, 3) preferred velocities, straight to the goals, m/s.
+            preferred: (W, N, 3) preferred velocities, m/s.
             parameters: Parameters of collision avoidance.
 
         Returns:

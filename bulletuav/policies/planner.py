@@ -12,16 +12,15 @@ import numpy as np
 from bulletuav.compiled.kernel import allocating, func
 from bulletuav.control.actions import limit_norm
 from bulletuav.envs.aviary import Aviary
-from bulletuav.geometry.rotation import Vec3, dot, plus, vec3
+from bulletuav.geometry.rotation import Vec3, cross, dot, plus, vec3
 from bulletuav.geometry.solids import Solids
 from bulletuav.policies.astar import plan_path
-from bulletuav.policies.base import Policy
-from bulletuav.policies.landing import touch_down
-from bulletuav.policies.potential import make_field, repulsion
+from bulletuav.policies.half_spaces import AvoidanceParameters, horizontal_right
+from bulletuav.policies.orca import Orca
 from bulletuav.policies.straight import APPROACH
+from bulletuav.policies.traffic import FACES, Traffic
 from bulletuav.policies.voxels import Voxels, build_voxels
 from bulletuav.registry import register
-from bulletuav.tasks.observations.observer import Observation
 from bulletuav.vehicle.swarm import Swarm
 
 VOXEL_SIZE = 4.0
@@ -29,6 +28,10 @@ VOXEL_SIZE = 4.0
 any alignment of the grid"""
 HALF_WIDTH = 2.0
 """Free width on either side of a path, m: for rounded corners, gusts and other drones"""
+NARROW = 0.5
+"""Scale of VOXEL_SIZE and HALF_WIDTH for paths through narrow streets"""
+DETOUR = 1.5
+"""Length of a path through wide streets over that through narrow ones up to which it is flown"""
 ACCELERATION = 5.0
 """Acceleration in corners and for braking, m/s^2"""
 DELAY = 0.6
@@ -54,60 +57,55 @@ class PathLimits(NamedTuple):
     half_width: float
 
 
-class PathFollower(Policy):
+class PathFollower(Orca):
     """Flight along the shortest path between the buildings, found by A*.
 
-    The map contains the buildings at the start of the episode; other obstacles are not considered.
-    If there is no path, the drone flies straight.
-
-    Active drones repel each other as in policy `potential`, but never more than the correction
-    towards the path at HALF_WIDTH from it, so that avoiding buildings has priority over avoiding
-    drones.
+    The map contains the buildings at the start of the episode. If there is no path, the drone flies
+    straight. The velocity along the path is the preferred velocity of policy `orca`, which avoids
+    other drones and obstacles.
     """
 
-    actions = ("velocity", "velocity_increment")
-    reads_swarm = True
-    remembers: ClassVar[tuple[str, ...]] = ("_path", "_count", "_next")
+    remembers: ClassVar[tuple[str, ...]] = ("_path", "_count", "_next", "_half_width")
 
     def __init__(self, aviary: Aviary) -> None:
         """Allocate maps and paths; see `Policy`."""
         super().__init__(aviary)
         shape = aviary.alive.shape
-        # Maps by the id of the solids; keeping the solids alive keeps their ids unique.
-        self._grids: dict[int, tuple[Solids, Voxels]] = {}
+        # Maps by the id of the solids, which keeping them alive keeps unique, and by scale.
+        self._grids: dict[tuple[int, float], tuple[Solids, Voxels]] = {}
         # Waypoints, m; their number, 0 before planning; and the index of the current one.
         self._path = np.zeros((*shape, 2, 3))
         self._count = np.zeros(shape, dtype=np.int64)
         self._next = np.ones(shape, dtype=np.int64)
+        # Free width on either side of each path, m.
+        self._half_width = np.full(shape, HALF_WIDTH)
 
     def reset(self, mask: np.ndarray) -> None:
         """Drop the paths of the worlds in `mask` (W,)."""
         self._count[mask] = 0
 
-    def act(self, observations: Observation, swarm: Swarm) -> np.ndarray:
-        """Add the velocities of `follow_paths` and the repulsion from drones; see `Policy.act`.
-
-        The sum is limited to max_speed. Drones without a path get one first.
-        """
+    def preferred(self, traffic: Traffic, swarm: Swarm) -> np.ndarray:
+        """Return the velocities of `follow_paths`; drones without a path get one first."""
         aviary = self.aviary
-        speed = float(aviary.options.max_speed)
         goal = self.goals(swarm)
         without_path = aviary.alive & (self._count == 0)
         for w, i in np.argwhere(without_path).tolist():
-            path = self._plan(w, swarm.position[w, i], goal[w, i])
+            path, self._half_width[w, i] = self._plan(w, swarm.position[w, i], goal[w, i])
             self._store_path(w, i, path)
-        limits = PathLimits(speed, ACCELERATION, DELAY, HALF_WIDTH)
-        wanted, self._next = follow_paths(
-            swarm.position, swarm.velocity, self._path, self._count, self._next, limits
-        )
-        # Repulsion from other drones.
-        no_balls = np.zeros((len(aviary.alive), 0, 3))
-        field = make_field(aviary, surfaces=0.0)
-        push = repulsion(swarm.position, aviary.alive, no_balls, np.zeros(0), field)
-        push = limit_norm(push, APPROACH * HALF_WIDTH)
-        flown = limit_norm(wanted + push, speed)
-        goal_offset = aviary.scene.goal - swarm.position
-        return self.encoded(touch_down(flown, goal_offset, aviary.scene.goal[..., 2], aviary.task))
+        limits = PathLimits(float(aviary.options.max_speed), ACCELERATION, DELAY, HALF_WIDTH)
+        paths = (self._path, self._count, self._next, self._half_width)
+        wanted, self._next = follow_paths(swarm.position, swarm.velocity, *paths, limits)
+        return limit_norm(wanted, limits.speed)
+
+    def avoid(
+        self, traffic: Traffic, preferred: np.ndarray, parameters: AvoidanceParameters
+    ) -> np.ndarray:
+        """Compute `orca_velocities` that stay near the path instead of away from buildings."""
+        paths = (self._path, self._count, self._next, self._half_width)
+        tube = tube_surfaces(self.aviary.swarm.position, *paths)
+        bounds = traffic.surface[:, :, :FACES]
+        traffic = traffic._replace(surface=np.concatenate([bounds, tube], axis=2))
+        return super().avoid(traffic, preferred, parameters)
 
     @abstractmethod
     def goals(self, swarm: Swarm) -> np.ndarray:
@@ -120,27 +118,39 @@ class PathFollower(Policy):
             (W, N, 3) destinations, m.
         """
 
-    def _plan(self, w: int, start: np.ndarray, goal: np.ndarray) -> np.ndarray:
-        """Plan a path; return (K, 3) waypoints, m, or a straight segment if there is no path."""
-        path = plan_path(self._voxel_map(w), start, goal)
-        return path if len(path) else np.stack([start, goal])
+    def _plan(self, w: int, start: np.ndarray, goal: np.ndarray) -> tuple[np.ndarray, float]:
+        """Plan a path, through wide streets unless they are a long detour.
 
-    def _voxel_map(self, w: int) -> Voxels:
-        """Return the voxel map of a world, and build it on first use."""
+        Returns:
+            (K, 3) waypoints, m, a straight segment if there is no path; and the free width on
+            either side, m.
+        """
+        wide = plan_path(self._voxel_map(w), start, goal)
+        # No path through narrow streets is shorter than the straight line
+        if path_length(wide) <= DETOUR * math.dist(start, goal):
+            return wide, HALF_WIDTH
+        narrow = plan_path(self._voxel_map(w, NARROW), start, goal)
+        if len(narrow) and path_length(wide) > DETOUR * path_length(narrow):
+            return narrow, NARROW * HALF_WIDTH
+        return (wide if len(wide) else np.stack([start, goal])), HALF_WIDTH
+
+    def _voxel_map(self, w: int, scale: float = 1.0) -> Voxels:
+        """Return the voxel map of a world at a scale, and build it on first use."""
         solids = self.aviary.solids(w)
         task = self.aviary.task
-        if id(solids) not in self._grids:
-            # Free cells have a clearance of HALF_WIDTH plus the radius of a drone.
-            clearance = HALF_WIDTH + task.context.collision_radius + VOXEL_SIZE / 2
+        key = id(solids), scale
+        if key not in self._grids:
+            # Free cells have a clearance of half_width plus the radius of a drone.
+            clearance = scale * (HALF_WIDTH + VOXEL_SIZE / 2) + task.context.collision_radius
             grid = build_voxels(
                 bounds=solids.bounds,
                 low=task.arena_low,
                 high=task.arena_high,
-                size=VOXEL_SIZE,
+                size=scale * VOXEL_SIZE,
                 clearance=clearance,
             )
-            self._grids[id(solids)] = solids, grid
-        return self._grids[id(solids)][1]
+            self._grids[key] = solids, grid
+        return self._grids[key][1]
 
     def _store_path(self, w: int, i: int, path: np.ndarray) -> None:
         """Store the path of a drone, which flies to its second waypoint first."""
@@ -153,6 +163,13 @@ class PathFollower(Policy):
         self._path[w, i, : len(path)] = path
         self._count[w, i] = len(path)
         self._next[w, i] = 1
+
+
+def path_length(path: np.ndarray) -> float:
+    """Return the length of a path (K, 3), m; infinite for an empty one."""
+    if not len(path):
+        return math.inf
+    return float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
 
 
 @register("policy")
@@ -183,6 +200,7 @@ def follow_paths(
     path: np.ndarray,
     count: np.ndarray,
     target: np.ndarray,
+    half_width: np.ndarray,
     limits: PathLimits,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Compute velocities along paths.
@@ -193,6 +211,7 @@ def follow_paths(
         path: (W, N, K, 3) waypoints, m.
         count: (W, N) number of waypoints of each drone; 0 for no path.
         target: (W, N) index of the current waypoint of each drone.
+        half_width: (W, N) free width on either side of each path, m; replaces that of the limits.
         limits: Limits for flight along paths.
 
     Returns:
@@ -207,11 +226,61 @@ def follow_paths(
                 here = vec3(position, w, i)
                 moving = vec3(velocity, w, i)
                 points = path[w, i, : count[w, i]]
-                target[w, i] = next_waypoint(points, target[w, i], here, moving, limits)
-                wanted = velocity_along(points, target[w, i], here, limits)
+                narrow = PathLimits(
+                    limits.speed, limits.acceleration, limits.delay, half_width[w, i]
+                )
+                target[w, i] = next_waypoint(points, target[w, i], here, moving, narrow)
+                wanted = velocity_along(points, target[w, i], here, narrow)
                 for axis in range(3):
                     result[w, i, axis] = wanted[axis]
     return result, target
+
+
+@allocating
+def tube_surfaces(
+    position: np.ndarray,
+    path: np.ndarray,
+    count: np.ndarray,
+    target: np.ndarray,
+    half_width: np.ndarray,
+) -> np.ndarray:
+    """Compute the sides of a square tube around the current leg of each drone, and its rear end.
+
+    Args:
+        position: (W, N, 3) positions of the drones, m.
+        path: (W, N, K, 3) waypoints, m.
+        count: (W, N) number of waypoints of each drone; 0 for no path.
+        target: (W, N) index of the current waypoint of each drone.
+        half_width: (W, N) distance of the sides and of the end from the leg, m.
+
+    Returns:
+        (W, N, 5, 4) surfaces, as in `Traffic`: unit normal into the tube, and the distance that
+        the drone may move against it, m, negative outside the tube; infinite without a leg.
+    """
+    result = np.zeros((*count.shape, 5, 4))
+    result[..., 3] = np.inf
+    for w in range(count.shape[0]):
+        for i in range(count.shape[1]):
+            points = path[w, i, : count[w, i]]
+            k = target[w, i]
+            if count[w, i] == 0:
+                continue
+            direction, length = leg_direction(points, k)
+            if length <= MIN_LEG_LENGTH:
+                continue
+            offset = plus(vec3(position, w, i), -1.0, waypoint_at(points, k - 1))
+            for axis in range(3):
+                result[w, i, 4, axis] = direction[axis]
+            result[w, i, 4, 3] = half_width[w, i] + dot(offset, direction)
+            right = horizontal_right(direction)
+            for row, normal in enumerate((right, cross(right, direction))):
+                deviation = dot(offset, normal)
+                for axis in range(3):
+                    result[w, i, 2 * row, axis] = normal[axis]
+                    result[w, i, 2 * row + 1, axis] = -normal[axis]
+                result[w, i, 2 * row, 3] = half_width[w, i] + deviation
+                result[w, i, 2 * row + 1, 3] = half_width[w, i] - deviation
+    return result
 
 
 @func

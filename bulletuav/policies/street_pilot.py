@@ -176,7 +176,9 @@ class StreetPilot(Policy):
         zero = np.zeros((*self._count.shape, 1))
         place = np.concatenate([self._place, zero], axis=-1)
         level = np.concatenate([velocity[..., :2], zero], axis=-1)
-        wanted, self._next = follow_paths(place, level, self._path, self._count, self._next, limits)
+        half_width = np.full(self._count.shape, HALF_WIDTH)
+        paths = (self._path, self._count, self._next, half_width)
+        wanted, self._next = follow_paths(place, level, *paths, limits)
         return wanted
 
     def _push(self, ranges: np.ndarray, offset: np.ndarray) -> np.ndarray:
