@@ -14,7 +14,8 @@ from bulletuav.tasks.ends import collision, leaves_arena
 from bulletuav.tasks.frame import Frame, Scene, Spawn, TaskContext
 from bulletuav.tasks.ingredients import reward
 from bulletuav.tasks.parts.city_layouts import CityOptions, add_city, ground_cells
-from bulletuav.tasks.parts.difficulties import URBAN_DIFFICULTIES
+from bulletuav.tasks.parts.difficulties import service_difficulties
+from bulletuav.tasks.parts.mean_service import SERVICE_SHIRKERS, MeanService
 from bulletuav.tasks.parts.obstacle_field import ObstacleField, ObstacleOptions
 from bulletuav.tasks.parts.presets import URBANMARL_COVERAGE
 from bulletuav.tasks.parts.safety import Safety
@@ -33,15 +34,20 @@ class CoverageConfig(CityOptions, ObstacleOptions, TaskConfig):
     Attributes:
         d_safe: Separation below which two drones are in conflict, m.
         cell: Side of the squares into which the ground outdoors is divided, m.
-        wanted: Fraction of covered squares from which the task is successful.
+        wanted: Fraction of covered squares, averaged over the episode, from which the task is
+            successful.
+        city: The city, see `CityOptions`, by default "dense": few places see much of it.
         height: Minimum and maximum height of starts, m.
+        ceiling: Maximum height of the airspace, m: low enough that no place sees most of the city.
         min_separation: Separation that drones should keep from each other, m.
     """
 
     d_safe: float = 2.0
     cell: float = 10.0
     wanted: float = 0.9
-    height: tuple[float, float] = (20.0, 60.0)
+    city: Any = "dense"
+    height: tuple[float, float] = (20.0, 45.0)
+    ceiling: float = 50.0
     min_separation: float = 100.0
 
 
@@ -92,17 +98,13 @@ class Coverage(Task[CoverageConfig]):
 
     version = 2
     name = "coverage"
-    defaults: ClassVar = {**URBAN_DEFAULTS, "horizon": 300}
-    difficulties: ClassVar = {
-        **URBAN_DIFFICULTIES,
-        # Three drones see at most 0.88 of the ground, and few places do so.
-        "easy": {**URBAN_DIFFICULTIES["easy"], "wanted": 0.75},
-        "extreme": {**URBAN_DIFFICULTIES["extreme"], "min_separation": 50.0},
-    }
+    defaults: ClassVar = {**URBAN_DEFAULTS, "horizon": 600}
+    difficulties: ClassVar = service_difficulties(medium=0.6, hard=0.5, extreme=0.4)
     presets: ClassVar = {"urbanmarl": URBANMARL_COVERAGE}
     has_goals = False
     places = ("start",)
     baseline = "oracle"
+    shirkers = SERVICE_SHIRKERS
     observation = ("position", "velocity", "battery", "neighbours", "seen_share")
     reward: ClassVar = {
         "covered": (served, 1.0),
@@ -126,6 +128,7 @@ class Coverage(Task[CoverageConfig]):
         self.safety = self.add(Safety(context.num_drones))
         self.city_layouts = add_city(self)
         check_fraction("wanted", config.wanted)
+        self.mean_service = self.add(MeanService(self, self._served))
         self._check_cell()
         cells = [ground_cells(city, config.cell) for city in self.city_layouts.cities]
         if not all(map(len, cells)):
@@ -201,5 +204,5 @@ class Coverage(Task[CoverageConfig]):
         return count
 
     def succeeded(self, frame: Frame) -> np.ndarray:
-        """Return whether the required fraction of the ground is covered, (W, N) bool."""
-        return self._served(frame) >= self.config.wanted
+        """Return whether the required fraction of the ground is covered on average, (W, N) bool."""
+        return self.mean_service.succeeded(frame)

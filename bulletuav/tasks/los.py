@@ -51,8 +51,9 @@ class Los(UserService[LosConfig]):
     Preset urbanmarl: sizes and rates of UrbanMARL 0.3.1 (docs/explanation/radio_and_edge.md).
     """
 
+    version = 2
     name = "los"
     presets: ClassVar = {"urbanmarl": URBANMARL_LOS}
-    defaults: ClassVar = {**URBAN_DEFAULTS, "horizon": 300}
+    defaults: ClassVar = {**URBAN_DEFAULTS, "horizon": 600}
     observation = ("position", "velocity", "battery", "neighbours", "targets")
     reward: ClassVar = {"collision": -10.0, "out_of_bounds": -10.0, "served": 1.0, "sight": 0.0}

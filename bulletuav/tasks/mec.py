@@ -5,8 +5,8 @@ from typing import ClassVar
 
 from bulletuav.network.uplink import RadioConfig
 from bulletuav.registry import register
+from bulletuav.tasks.parts.difficulties import service_difficulties
 from bulletuav.tasks.parts.edge_computing import (
-    EDGE_DIFFICULTIES,
     EDGE_SHOWS,
     EdgeComputing,
     EdgeOptions,
@@ -58,9 +58,10 @@ class Mec(UserService[MecConfig]):
     Preset urbanmarl: sizes and rates of UrbanMARL 0.3.1 (docs/explanation/radio_and_edge.md).
     """
 
+    version = 2
     name = "mec"
     presets: ClassVar = {"urbanmarl": URBANMARL_MEC}
-    difficulties: ClassVar = EDGE_DIFFICULTIES
+    difficulties: ClassVar = service_difficulties(medium=0.7, hard=0.7, extreme=0.7)
     shows: ClassVar = EDGE_SHOWS
     service_kind = EdgeComputing
     observation = ("position", "battery", "server")

@@ -53,6 +53,7 @@ class MobileUsers(UserService[MobileUsersConfig]):
     Preset urbanmarl: sizes and rates of UrbanMARL 0.3.1 (docs/explanation/radio_and_edge.md).
     """
 
+    version = 2
     name = "mobile_users"
     presets: ClassVar = {"urbanmarl": URBANMARL_MOBILE_USERS}
     observation = ("position", "battery", "centroids", "sight_matrix")

@@ -145,11 +145,12 @@ def test_reward_of_sight_that_lasts(put):
 
 
 def test_success_is_to_see_as_many_as_wanted_among_all_drones(put):
-    step = fly(put("mobile_users", TOWER, DRONES, USERS, wanted=1.0), STAY)
+    short = {"horizon": 1}
+    step = fly(put("mobile_users", TOWER, DRONES, USERS, wanted=1.0, **short), STAY)
     assert step.info["served"][0].tolist() == [1, 1, 1]
     assert step.info["success"][0].tolist() == [True] * 3
     for wanted in (0.8, 0.81):
-        alone = fly(put("mobile_users", TOWER, DRONES[2:], USERS, wanted=wanted), STAY)
+        alone = fly(put("mobile_users", TOWER, DRONES[2:], USERS, wanted=wanted, **short), STAY)
         assert alone.info["served"][0].tolist() == [0.8]
         assert alone.info["success"][0].tolist() == [wanted == 0.8]
 
@@ -161,7 +162,7 @@ BOUNDS = {"hard": 0.0, "soft": 0.8}
 def test_bounds_hold_drones_back_by_hand(put, boundary, left):
     """5 m off the edge at 12 m/s west and 9 m/s north: the way along the edge goes on."""
     options = {"boundary": boundary, "weights": {"out_of_bounds": -3.0}, "ceiling": 65.0}
-    aviary = put("mobile_users", OPEN, [(-95, 0, 30), (0, 0, 60)], [(0, 0, 1.5)], **options)
+    aviary = put("mobile_users", OPEN, [(-95, 0, 30), (0, 0, 40)], [(0, 0, 1.5)], **options)
     step = fly(aviary, (-0.8, 0.6, 0.0), UP)
     np.testing.assert_allclose(aviary.swarm.position[0], [(-100, 9, 30), (0, 0, 65)], atol=1e-9)
     np.testing.assert_allclose(

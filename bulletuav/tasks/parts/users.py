@@ -16,6 +16,7 @@ from bulletuav.tasks.frame import Frame, Scene
 from bulletuav.tasks.observations.base import Block
 from bulletuav.tasks.parts.base import Part, Rngs
 from bulletuav.tasks.parts.city_layouts import USER_HEIGHT, CityLayouts
+from bulletuav.tasks.parts.mean_service import MeanService
 from bulletuav.tasks.targets import get_served_fraction
 
 
@@ -121,7 +122,7 @@ class Users(Part):
         return {"users": Block(tuple(chain(*labels)), places)}
 
 
-class Service(Part):
+class Service(MeanService):
     """Service of drones to users; this base class serves all users in sight, as a relay does."""
 
     def __init__(self, task: Task[Any], users: Users) -> None:
@@ -131,7 +132,7 @@ class Service(Part):
             task: The task, with the option `wanted`.
             users: Its users.
         """
-        self._wanted, self._users = float(task.config.wanted), users
+        super().__init__(task, users.served)
 
     def links(self, frame: Frame) -> np.ndarray:
         """Return which drones serve which users, (W, N, U) bool: those in sight."""
@@ -140,10 +141,6 @@ class Service(Part):
     def quality(self, place: np.ndarray, targets: np.ndarray, sight: np.ndarray) -> np.ndarray:
         """Return how well drones would serve users; see `Task.service_quality`."""
         return sight.astype(float)
-
-    def succeeded(self, frame: Frame) -> np.ndarray:
-        """Return whether the required fraction of users is in sight of a drone, (W, N) bool."""
-        return self._users.served(frame) >= self._wanted
 
 
 def _mean_service_time(frame: Frame) -> np.ndarray:

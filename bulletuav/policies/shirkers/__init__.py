@@ -1,0 +1,1 @@
+"""Policies made for single tasks that try to be paid without doing the work."""
