@@ -67,7 +67,7 @@ def close(drones_too_near: float) -> float:
 class Coverage(Task[CoverageConfig]):
     """Drones spread over a city to see as much of its streets as possible.
 
-    Drones start at rest at random positions outdoors, at heights of 20 to 60 m. The ground outdoors
+    Drones start at rest at random positions outdoors, at heights of 20 to 45 m. The ground outdoors
     is divided into squares of 10 m. A square is covered if at least one active drone sees its
     centre, 1.5 m above the ground.
 
@@ -88,10 +88,10 @@ class Coverage(Task[CoverageConfig]):
     - out_of_bounds -10: 1 outside the city's square or above its ceiling.
 
     End: terminated on contact, when the battery is empty, and outside the city's square or above
-    its ceiling. Truncated after 300 decisions.
+    its ceiling. Truncated after 600 decisions.
 
-    Success: 90 % of the squares are covered, at easy 75 %, and the drone had no conflict or
-    collision in the episode.
+    Success: averaged over the episode, EASY % of the squares are covered (medium MEDIUM %, hard
+    HARD %, extreme EXTREME %), and the drone had no conflict or collision.
 
     Preset urbanmarl: sizes and rates of UrbanMARL 0.3.1 (docs/explanation/radio_and_edge.md).
     """

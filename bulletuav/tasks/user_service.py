@@ -10,7 +10,6 @@ from bulletuav.tasks.config import REBOUND, TaskConfig
 from bulletuav.tasks.ends import affected_drones
 from bulletuav.tasks.frame import Frame, Scene, Spawn, TaskContext
 from bulletuav.tasks.parts.city_layouts import CityOptions, add_city
-from bulletuav.tasks.parts.difficulties import service_difficulties
 from bulletuav.tasks.parts.mean_service import SERVICE_SHIRKERS
 from bulletuav.tasks.parts.obstacle_field import ObstacleField, ObstacleOptions
 from bulletuav.tasks.parts.safety import Safety
@@ -65,7 +64,6 @@ class UserService(Task[UserServiceConfigT], Generic[UserServiceConfigT]):
 
     has_goals = False
     places: ClassVar[tuple[str, ...]] = ("start",)
-    difficulties: ClassVar = service_difficulties(medium=0.7, hard=0.7, extreme=0.6)
     shows: ClassVar = {"served": "served by all", "collision": "collisions"}
     service_kind: ClassVar[type[Service]] = Service
     baseline = "oracle"
