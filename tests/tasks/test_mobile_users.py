@@ -162,7 +162,7 @@ BOUNDS = {"hard": 0.0, "soft": 0.8}
 def test_bounds_hold_drones_back_by_hand(put, boundary, left):
     """5 m off the edge at 12 m/s west and 9 m/s north: the way along the edge goes on."""
     options = {"boundary": boundary, "weights": {"out_of_bounds": -3.0}, "ceiling": 65.0}
-    aviary = put("mobile_users", OPEN, [(-95, 0, 30), (0, 0, 40)], [(0, 0, 1.5)], **options)
+    aviary = put("mobile_users", OPEN, [(-95, 0, 30), (0, 0, 60)], [(0, 0, 1.5)], **options)
     step = fly(aviary, (-0.8, 0.6, 0.0), UP)
     np.testing.assert_allclose(aviary.swarm.position[0], [(-100, 9, 30), (0, 0, 65)], atol=1e-9)
     np.testing.assert_allclose(
@@ -198,7 +198,7 @@ def test_bounds_hold_back_whatever_flies(put, boundary, dynamics):
 
 def test_the_bounds_can_end_it_instead(put):
     options = {"boundary": "end", "weights": {"out_of_bounds": -3.0}}
-    aviary = put("mobile_users", OPEN, [(-95, 0, 30), (0, 0, 60)], [(0, 0, 1.5)], **options)
+    aviary = put("mobile_users", OPEN, [(-95, 0, 30), (0, 0, 40)], [(0, 0, 1.5)], **options)
     step = fly(aviary, WEST, STAY)
     assert aviary.swarm.position[0, 0, 0] == pytest.approx(-110)
     assert step.terminated[0].tolist() == [True, False]

@@ -122,7 +122,7 @@ class Users(Part):
         return {"users": Block(tuple(chain(*labels)), places)}
 
 
-class Service(MeanService):
+class Service(Part):
     """Service of drones to users; this base class serves all users in sight, as a relay does."""
 
     def __init__(self, task: Task[Any], users: Users) -> None:
@@ -132,7 +132,7 @@ class Service(MeanService):
             task: The task, with the option `wanted`.
             users: Its users.
         """
-        super().__init__(task, users.served)
+        self._mean = task.add(MeanService(task, users.served))
 
     def links(self, frame: Frame) -> np.ndarray:
         """Return which drones serve which users, (W, N, U) bool: those in sight."""
@@ -141,6 +141,10 @@ class Service(MeanService):
     def quality(self, place: np.ndarray, targets: np.ndarray, sight: np.ndarray) -> np.ndarray:
         """Return how well drones would serve users; see `Task.service_quality`."""
         return sight.astype(float)
+
+    def succeeded(self, frame: Frame) -> np.ndarray:
+        """Return whether a drone saw enough users, on average over the episode, (W, N) bool."""
+        return self._mean.succeeded(frame)
 
 
 def _mean_service_time(frame: Frame) -> np.ndarray:
