@@ -38,7 +38,7 @@ class MecAdvancedConfig(EdgeOptions, RadioConfig, UserServiceConfig):
     core_frequency: float = field(default=10e9, metadata={"most": 1e12})
     bandwidth: float = field(default=100e6, metadata={"most": 1e12})
     antenna: Literal["isotropic", "downward"] = "downward"
-    wanted: float = 0.75
+    wanted: float = 0.7
 
 
 @register("task")
@@ -75,7 +75,7 @@ class MecAdvanced(UserService[MecAdvancedConfig]):
     End: terminated on contact of collision shapes and when the battery is empty. Truncated after
     100 decisions. Drones stop at the city's edges and at the ceiling.
 
-    Success: 75 % of the episode's tasks are completed (medium 86 %, hard 88 %, extreme 82 %), and
+    Success: 70 % of the episode's tasks are completed (medium 80 %, hard 82 %, extreme 78 %), and
     the drone had no conflict or collision.
 
     Preset urbanmarl: sizes and rates of UrbanMARL 0.3.1 (docs/explanation/radio_and_edge.md).
@@ -84,7 +84,7 @@ class MecAdvanced(UserService[MecAdvancedConfig]):
     version = 2
     name = "mec_advanced"
     presets: ClassVar = {"urbanmarl": URBANMARL_MEC_ADVANCED}
-    difficulties: ClassVar = service_difficulties(medium=0.86, hard=0.88, extreme=0.82)
+    difficulties: ClassVar = service_difficulties(medium=0.8, hard=0.82, extreme=0.78)
     shows: ClassVar = EDGE_SHOWS
     service_kind = EdgeComputing
     observation = ("position", "velocity", "battery", "power", "link_rates", "server")
