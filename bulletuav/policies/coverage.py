@@ -13,10 +13,10 @@ from bulletuav.envs.aviary import Aviary
 from bulletuav.policies.coverage_geometry import (
     assign_greedily,
     assign_optimally,
-    best_responses,
     farthest_first,
     greedy_coverage,
     kmeans,
+    local_search,
     pairwise_distances,
     ring_positions,
 )
@@ -40,8 +40,13 @@ TOLERANCE = 4.0
 HOTSPOT = 50.0
 """Radius of a hotspot, m: its targets are seen at an elevation of 60 degrees or more from below
 the default ceiling"""
-GRID = 25
+GRID = 50
 """Approximate number of candidate positions of the oracle along each side of a city"""
+MAX_RAYS = 1e6
+"""Approximate number of lines of sight of the oracle, which has fewer candidates if targets are
+many"""
+RESTARTS = 8
+"""Number of random selections that the oracle improves besides the greedy one"""
 
 
 class Placement(PathFollower):
@@ -237,34 +242,43 @@ class Oracle(Placement):
     def places(
         self, w: int, targets: np.ndarray, position: np.ndarray, previous: np.ndarray | None
     ) -> np.ndarray:
-        """Choose positions greedily at first, then improve them; see `Placement.places`.
+        """Choose positions by local search at first, then improve them; see `Placement.places`.
 
-        After the first placement, a drone moves only if it then serves targets better than all
-        other drones do.
+        Local search improves a greedy selection, and random ones, by the best responses of single
+        drones until none moves. After the first placement, it starts from the present positions: a
+        drone moves only if it then serves targets better than all other drones do.
         """
         count = len(position)
         known = position if previous is None else previous
-        candidates = np.concatenate([known, self._grid_places(w)])
+        candidates = np.concatenate([known, self._grid_places(w, len(targets))])
         service = self._service_quality(w, candidates, targets)
         if previous is None:
-            chosen = greedy_coverage(
+            greedy = greedy_coverage(
                 service=service,
                 distance=pairwise_distances(candidates, targets[:, :2]),
                 places=candidates,
                 count=count,
                 min_spacing=self.min_spacing,
             )
-            return assign_optimally(candidates[chosen], position)
-        kept = best_responses(service, candidates, np.arange(count), self.min_spacing)
+            # A constant seed: the same world has the same positions
+            random = np.random.default_rng(0).integers(len(candidates), size=(RESTARTS, count))
+            found = [
+                local_search(service, candidates, start, self.min_spacing)
+                for start in (greedy, *random)
+            ]
+            values = [service[taken].max(axis=0).sum() for taken in found]
+            return assign_optimally(candidates[found[int(np.argmax(values))]], position)
+        kept = local_search(service, candidates, np.arange(count), self.min_spacing)
         places: np.ndarray = candidates[kept]
         return places
 
-    def _grid_places(self, w: int) -> np.ndarray:
+    def _grid_places(self, w: int, num_targets: int) -> np.ndarray:
         """Return the centres (C, 2) of free cells on a regular grid over the city, m."""
         grid = self._voxel_map(w)
         layer = int((self.height.min() - grid.origin[2]) // grid.size)
         free = ~grid.occupied[:, :, layer]
-        step = math.ceil((max(free.shape) - 2) / GRID)
+        per_side = min(GRID, math.sqrt(MAX_RAYS / num_targets))
+        step = math.ceil((max(free.shape) - 2) / per_side)
         cells = np.argwhere(free)
         on_grid = cells % step == step // 2
         kept = cells[on_grid.all(axis=1)]

@@ -11,6 +11,8 @@ from bulletuav.compiled.functions import cos, sin
 
 MAX_ITERATIONS = 100
 """Maximum number of Lloyd iterations; about ten are usually enough"""
+MAX_ROUNDS = 20
+"""Maximum number of rounds of best responses; about five are usually enough"""
 
 
 def pairwise_distances(points: np.ndarray, others: np.ndarray) -> np.ndarray:
@@ -196,6 +198,28 @@ def best_responses(
         weighted_distance = pairwise_distances(places, places[here][None])
         order = np.lexsort((weighted_distance[:, 0], -gain, -spacing))
         taken[i] = order[0]
+    return taken
+
+
+def local_search(
+    service: np.ndarray, places: np.ndarray, taken: np.ndarray, min_spacing: float
+) -> np.ndarray:
+    """Repeat `best_responses` until no drone moves, at most MAX_ROUNDS times.
+
+    Args:
+        service: (C, U) service quality of each target from each position, 0 to 1.
+        places: (C, 2) candidate positions, m.
+        taken: (K,) index of the first position of each drone.
+        min_spacing: Minimum distance between positions, m.
+
+    Returns:
+        (K,) indices of the final positions.
+    """
+    for _ in range(MAX_ROUNDS):
+        better = best_responses(service, places, taken, min_spacing)
+        if np.array_equal(better, taken):
+            break
+        taken = better
     return taken
 
 

@@ -92,7 +92,8 @@ class PathFollower(Orca):
         for w, i in np.argwhere(without_path).tolist():
             path, self._half_width[w, i] = self._plan(w, swarm.position[w, i], goal[w, i])
             self._store_path(w, i, path)
-        limits = PathLimits(float(aviary.options.max_speed), ACCELERATION, DELAY, HALF_WIDTH)
+        speed, period = float(aviary.options.max_speed), 1.0 / aviary.options.decision_hz
+        limits = PathLimits(speed, ACCELERATION, max(DELAY, period), HALF_WIDTH)
         paths = (self._path, self._count, self._next, self._half_width)
         wanted, self._next = follow_paths(swarm.position, swarm.velocity, *paths, limits)
         return limit_norm(wanted, limits.speed)

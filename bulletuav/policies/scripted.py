@@ -173,7 +173,7 @@ class Clump(Oracle):
     ) -> np.ndarray:
         """Return a small ring around the best position; see `Placement.places`."""
         task = self.aviary.task
-        candidates = self._grid_places(w)
+        candidates = self._grid_places(w, len(targets))
         best = candidates[self._service_quality(w, candidates, targets).sum(axis=1).argmax()]
         low, high = task.arena_low[:2], task.arena_high[:2]
         return ring_positions(best, len(position), 3 * task.config.d_safe, low, high)

@@ -14,7 +14,8 @@ from bulletuav.tasks.ends import collision, leaves_arena
 from bulletuav.tasks.frame import Frame, Scene, Spawn, TaskContext
 from bulletuav.tasks.ingredients import reward
 from bulletuav.tasks.parts.city_layouts import CityOptions, add_city, ground_cells
-from bulletuav.tasks.parts.difficulties import URBAN_DIFFICULTIES
+from bulletuav.tasks.parts.difficulties import service_difficulties
+from bulletuav.tasks.parts.mean_service import SERVICE_SHIRKERS, MeanService
 from bulletuav.tasks.parts.obstacle_field import ObstacleField, ObstacleOptions
 from bulletuav.tasks.parts.presets import URBANMARL_COVERAGE
 from bulletuav.tasks.parts.safety import Safety
@@ -33,15 +34,20 @@ class CoverageConfig(CityOptions, ObstacleOptions, TaskConfig):
     Attributes:
         d_safe: Separation below which two drones are in conflict, m.
         cell: Side of the squares into which the ground outdoors is divided, m.
-        wanted: Fraction of covered squares from which the task is successful.
+        wanted: Fraction of covered squares, averaged over the episode, from which the task is
+            successful.
+        city: The city, see `CityOptions`, by default "dense": few places see much of it.
         height: Minimum and maximum height of starts, m.
+        ceiling: Maximum height of the airspace, m: low enough that no place sees most of the city.
         min_separation: Separation that drones should keep from each other, m.
     """
 
     d_safe: float = 2.0
     cell: float = 10.0
-    wanted: float = 0.9
-    height: tuple[float, float] = (20.0, 60.0)
+    wanted: float = 0.46
+    city: Any = "dense"
+    height: tuple[float, float] = (20.0, 45.0)
+    ceiling: float = 50.0
     min_separation: float = 100.0
 
 
@@ -61,7 +67,7 @@ def close(drones_too_near: float) -> float:
 class Coverage(Task[CoverageConfig]):
     """Drones spread over a city to see as much of its streets as possible.
 
-    Drones start at rest at random positions outdoors, at heights of 20 to 60 m. The ground outdoors
+    Drones start at rest at random positions outdoors, at heights of 20 to 45 m. The ground outdoors
     is divided into squares of 10 m. A square is covered if at least one active drone sees its
     centre, 1.5 m above the ground.
 
@@ -82,27 +88,23 @@ class Coverage(Task[CoverageConfig]):
     - out_of_bounds -10: 1 outside the city's square or above its ceiling.
 
     End: terminated on contact, when the battery is empty, and outside the city's square or above
-    its ceiling. Truncated after 300 decisions.
+    its ceiling. Truncated after 600 decisions.
 
-    Success: 90 % of the squares are covered, at easy 75 %, and the drone had no conflict or
-    collision in the episode.
+    Success: averaged over the episode, 46 % of the squares are covered (medium 56 %, hard
+    64 %, extreme 65 %), and the drone had no conflict or collision.
 
     Preset urbanmarl: sizes and rates of UrbanMARL 0.3.1 (docs/explanation/radio_and_edge.md).
     """
 
     version = 2
     name = "coverage"
-    defaults: ClassVar = {**URBAN_DEFAULTS, "horizon": 300}
-    difficulties: ClassVar = {
-        **URBAN_DIFFICULTIES,
-        # Three drones see at most 0.88 of the ground, and few places do so.
-        "easy": {**URBAN_DIFFICULTIES["easy"], "wanted": 0.75},
-        "extreme": {**URBAN_DIFFICULTIES["extreme"], "min_separation": 50.0},
-    }
+    defaults: ClassVar = {**URBAN_DEFAULTS, "horizon": 600}
+    difficulties: ClassVar = service_difficulties(medium=0.56, hard=0.64, extreme=0.65)
     presets: ClassVar = {"urbanmarl": URBANMARL_COVERAGE}
     has_goals = False
     places = ("start",)
     baseline = "oracle"
+    shirkers = SERVICE_SHIRKERS
     observation = ("position", "velocity", "battery", "neighbours", "seen_share")
     reward: ClassVar = {
         "covered": (served, 1.0),
@@ -126,6 +128,7 @@ class Coverage(Task[CoverageConfig]):
         self.safety = self.add(Safety(context.num_drones))
         self.city_layouts = add_city(self)
         check_fraction("wanted", config.wanted)
+        self.mean_service = self.add(MeanService(self, self._served))
         self._check_cell()
         cells = [ground_cells(city, config.cell) for city in self.city_layouts.cities]
         if not all(map(len, cells)):
@@ -201,5 +204,5 @@ class Coverage(Task[CoverageConfig]):
         return count
 
     def succeeded(self, frame: Frame) -> np.ndarray:
-        """Return whether the required fraction of the ground is covered, (W, N) bool."""
-        return self._served(frame) >= self.config.wanted
+        """Return whether the required fraction of the ground is covered on average, (W, N) bool."""
+        return self.mean_service.succeeded(frame)

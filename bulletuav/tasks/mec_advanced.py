@@ -5,8 +5,8 @@ from typing import ClassVar, Literal
 
 from bulletuav.network.uplink import RadioConfig
 from bulletuav.registry import register
+from bulletuav.tasks.parts.difficulties import service_difficulties
 from bulletuav.tasks.parts.edge_computing import (
-    EDGE_DIFFICULTIES,
     EDGE_SHOWS,
     EdgeComputing,
     EdgeOptions,
@@ -28,9 +28,7 @@ class MecAdvancedConfig(EdgeOptions, RadioConfig, UserServiceConfig):
         core_frequency: Frequency of a core, cycles/s.
         bandwidth: Bandwidth shared by all drones, Hz.
         antenna: Antenna of the drones, "isotropic" or "downward".
-        height: Minimum and maximum height of starts, m.
-        ceiling: Maximum height of the airspace, m: low enough that not every position serves all
-            users.
+        wanted: Fraction of completed tasks of the episode from which the task is successful.
     """
 
     num_users: int = field(default=10, metadata={"most": 10_000})
@@ -40,8 +38,7 @@ class MecAdvancedConfig(EdgeOptions, RadioConfig, UserServiceConfig):
     core_frequency: float = field(default=10e9, metadata={"most": 1e12})
     bandwidth: float = field(default=100e6, metadata={"most": 1e12})
     antenna: Literal["isotropic", "downward"] = "downward"
-    height: tuple[float, float] = (20.0, 45.0)
-    ceiling: float = 50.0
+    wanted: float = 0.7
 
 
 @register("task")
@@ -78,15 +75,16 @@ class MecAdvanced(UserService[MecAdvancedConfig]):
     End: terminated on contact of collision shapes and when the battery is empty. Truncated after
     100 decisions. Drones stop at the city's edges and at the ceiling.
 
-    Success: 70 % of the episode's tasks are completed, and the drone had no conflict or collision
-    in the episode.
+    Success: 70 % of the episode's tasks are completed (medium 80 %, hard 82 %, extreme 78 %), and
+    the drone had no conflict or collision.
 
     Preset urbanmarl: sizes and rates of UrbanMARL 0.3.1 (docs/explanation/radio_and_edge.md).
     """
 
+    version = 2
     name = "mec_advanced"
     presets: ClassVar = {"urbanmarl": URBANMARL_MEC_ADVANCED}
-    difficulties: ClassVar = EDGE_DIFFICULTIES
+    difficulties: ClassVar = service_difficulties(medium=0.8, hard=0.82, extreme=0.78)
     shows: ClassVar = EDGE_SHOWS
     service_kind = EdgeComputing
     observation = ("position", "velocity", "battery", "power", "link_rates", "server")

@@ -1,7 +1,7 @@
 """Base class of tasks in which drones over a city serve users on the ground."""
 
 from dataclasses import dataclass
-from typing import ClassVar, Generic, Literal, TypeVar
+from typing import Any, ClassVar, Generic, Literal, TypeVar
 
 import numpy as np
 
@@ -10,7 +10,7 @@ from bulletuav.tasks.config import REBOUND, TaskConfig
 from bulletuav.tasks.ends import affected_drones
 from bulletuav.tasks.frame import Frame, Scene, Spawn, TaskContext
 from bulletuav.tasks.parts.city_layouts import CityOptions, add_city
-from bulletuav.tasks.parts.difficulties import URBAN_DIFFICULTIES
+from bulletuav.tasks.parts.mean_service import SERVICE_SHIRKERS
 from bulletuav.tasks.parts.obstacle_field import ObstacleField, ObstacleOptions
 from bulletuav.tasks.parts.safety import Safety
 from bulletuav.tasks.parts.urban import URBAN_DEFAULTS, check_fraction
@@ -23,12 +23,13 @@ class UserServiceConfig(UserOptions, CityOptions, ObstacleOptions, TaskConfig):
 
     Attributes:
         d_safe: Separation below which two drones are in conflict, m.
-        wanted: Fraction of service from which the task is successful: of users served, unless the
-            task defines another.
+        wanted: Fraction of service from which the task is successful: of users in sight, averaged
+            over the episode, unless the task defines another.
         boundary: Behaviour at the bounds of the airspace. "end": the drone's episode ends. "soft":
             the drone rebounds. "hard": the drone stops.
         contact_ends: Episode that a contact of collision shapes ends: that of the "drone", or of
             its whole "world".
+        city: The city, see `CityOptions`, by default "dense": few places see much of it.
         height: Minimum and maximum height of starts, m.
         ceiling: Maximum height of the airspace, m: low enough that not every position sees all
             users.
@@ -38,8 +39,9 @@ class UserServiceConfig(UserOptions, CityOptions, ObstacleOptions, TaskConfig):
     wanted: float = 0.9
     boundary: Literal["end", "soft", "hard"] = "hard"
     contact_ends: Literal["drone", "world"] = "drone"
-    height: tuple[float, float] = (20.0, 60.0)
-    ceiling: float = 70.0
+    city: Any = "dense"
+    height: tuple[float, float] = (20.0, 45.0)
+    ceiling: float = 50.0
 
 
 UserServiceConfigT = TypeVar("UserServiceConfigT", bound=UserServiceConfig)
@@ -50,7 +52,8 @@ class UserService(Task[UserServiceConfigT], Generic[UserServiceConfigT]):
 
     A drone's episode ends on contact of collision shapes and when the battery is empty. Drones stop
     at the bounds of the city's square and at its ceiling, unless the option `boundary` changes
-    this. The task is successful if at least the fraction `wanted` of users is in sight of a drone.
+    this. The task is successful if a drone saw at least
+    the fraction `wanted` of users, on average over the episode.
 
     Attributes:
         city_layouts: The cities.
@@ -59,13 +62,12 @@ class UserService(Task[UserServiceConfigT], Generic[UserServiceConfigT]):
         service: Service that drones provide to users.
     """
 
-    version = 2
     has_goals = False
     places: ClassVar[tuple[str, ...]] = ("start",)
-    difficulties: ClassVar = URBAN_DIFFICULTIES
     shows: ClassVar = {"served": "served by all", "collision": "collisions"}
     service_kind: ClassVar[type[Service]] = Service
     baseline = "oracle"
+    shirkers = (*SERVICE_SHIRKERS, "service_follow_one")
     defaults: ClassVar = {
         **URBAN_DEFAULTS,
         "dynamics": "single_integrator",

@@ -17,6 +17,7 @@ from bulletuav.policies.coverage_geometry import (
     farthest_first,
     greedy_coverage,
     kmeans,
+    local_search,
     ring_positions,
 )
 from bulletuav.tasks.los import Los
@@ -148,6 +149,23 @@ def test_a_drone_leaves_its_place_only_for_a_better_one():
         3,
         0,
     ]  # D alone is as far from A
+
+
+def test_local_search_repeats_best_responses_until_no_drone_moves():
+    # Greedily from D and D: A adds four, B then one; from A and B the first drone leaves A for C
+    found = local_search(SERVES, PLACES, np.array([3, 3]), 0.0)
+    assert found.tolist() == best_responses(SERVES, PLACES, found, 0.0).tolist()
+    assert SERVES[found].max(axis=0).sum() == 6.0
+    assert best_responses(SERVES, PLACES, np.array([3, 3]), 0.0).tolist() != found.tolist()
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_local_search_never_serves_less(seed):
+    rng = np.random.default_rng(seed)
+    service = np.where(rng.random((9, 20)) < 0.2, rng.random((9, 20)), 0.0)
+    start = rng.integers(9, size=3)
+    found = local_search(service, scattered(seed, 9), start, 0.0)
+    assert service[found].max(axis=0).sum() >= service[start].max(axis=0).sum()
 
 
 def test_matches_have_the_least_sum_of_ways():
@@ -397,7 +415,7 @@ def test_nobody_collides(make, name, options):
 
 def test_placement_serves_more_than_chance_and_the_oracle_most(make):
     """Means of 12 episodes; over 20 they are 0.4, 0.4, 0.6, 0.9, 0.9 and 1, to 0.07 or less."""
-    aviary, served = make(num_worlds=12, num_layouts=4, ceiling=120.0), {}
+    aviary, served = make(num_worlds=12, num_layouts=4, city="urban", ceiling=120.0), {}
     for name in ("random", "straight", *NAMES):
         served[name] = fly(aviary, find_policy(name)(aviary), 250)[1].mean()
     assert max(served["random"], served["straight"]) + 0.05 < served["centroid"]
@@ -407,7 +425,8 @@ def test_placement_serves_more_than_chance_and_the_oracle_most(make):
 
 
 def test_ground_is_covered_too(make):
-    aviary, served = make("coverage", num_worlds=2, area=300.0, min_separation=60.0), {}
+    options = {"area": 300.0, "min_separation": 60.0, "city": "urban", "ceiling": 120.0}
+    aviary, served = make("coverage", num_worlds=2, **options), {}
     for name in ("straight", *NAMES):
         served[name] = fly(aviary, find_policy(name)(aviary), 150)[1].mean()
     assert served["straight"] + 0.1 < served["kmeans"] < served["oracle"]

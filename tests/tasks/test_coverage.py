@@ -27,7 +27,7 @@ def share_seen(drones, city):
 
 
 def test_everything_is_covered_where_nothing_stands(put_urban):
-    step = put_urban("coverage", city_of(), [(13.0, 7, 20)]).step(np.zeros((1, 1, 3)))
+    step = put_urban("coverage", city_of(), [(13.0, 7, 20)], horizon=1).step(np.zeros((1, 1, 3)))
     assert step.info["reward/covered"][0, 0] == pytest.approx(1)
     assert step.info["success"].all()
     assert step.observations[0, 0, -1] == 1

@@ -190,10 +190,10 @@ def test_the_number_of_processes_changes_no_bit(task):
 @pytest.mark.parametrize("task", EDGE)
 def test_to_serve_pays_more_than_to_hover_and_that_more_than_to_crash(task, preset):
     returns = {}
-    for name in ("crash", "hover", "kmeans"):
+    for name in ("crash", "hover", "oracle"):
         aviary = bulletuav.Aviary(task, 4, preset=preset)
         observations = aviary.reset(seeds=0)
-        policy = find_policy("kmeans")(aviary)
+        policy = find_policy("oracle")(aviary)
         policy.reset(np.ones(4, dtype=bool))
         returns[name] = 0.0
         while aviary.alive.any():
@@ -205,7 +205,7 @@ def test_to_serve_pays_more_than_to_hover_and_that_more_than_to_crash(task, pres
             returns[name] += step.rewards.mean()
         aviary.close()
     assert returns["crash"] + 5 < returns["hover"]
-    assert returns["hover"] + 5 < returns["kmeans"]
+    assert returns["hover"] + 5 < returns["oracle"]
 
 
 @pytest.mark.parametrize("dynamics", ["single_integrator", "point_mass", "bullet"])

@@ -21,7 +21,7 @@ from edge_users import (
     hovered,
     shannon,
 )
-from placing import OPEN, WALL, fly
+from placing import OPEN, SMALL, WALL, fly
 
 
 def busy(aviary, decisions=12):
@@ -48,7 +48,7 @@ def test_a_near_drone_behind_a_wall(put, assignment, who):
 )
 def test_a_drone_high_above(put, assignment, who):
     """108.5 m up, and 60.6 m aside."""
-    options = {"assignment": assignment, "arrival_rate": 2.0, "num_cores": 40}
+    options = {"assignment": assignment, "arrival_rate": 2.0, "num_cores": 40, "ceiling": 120.0}
     assert busy(put("mec", OPEN, [(0, 0, 110), (60, 0, 10)], [(0, 0, 1.5)], **options)) == who
 
 
@@ -390,7 +390,7 @@ def test_rewards_add_up_to_those_of_the_anchor(put, task, users, completed, late
 
 @pytest.mark.parametrize("task", EDGE)
 def test_evaluating_twice_changes_nothing(make, task):
-    aviary = make(task, 2, arrival_rate=2.0)
+    aviary = make(task, 2, arrival_rate=2.0, city="urban", **SMALL)
     for _ in range(3):
         step = fly(aviary, EAST)
     memory = {name: array.copy() for name, array in aviary.scene.memory.items()}

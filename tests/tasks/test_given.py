@@ -108,7 +108,7 @@ def test_hover_takes_starts_and_targets():
 
 
 def test_drones_without_goals_have_none_elsewhere():
-    start = [(-200.0, -200.0, 65.0), (0.0, 0.0, 65.0), (200.0, 200.0, 65.0)]
+    start = [(-200.0, -200.0, 45.0), (0.0, 0.0, 45.0), (200.0, 200.0, 45.0)]
     aviary = bulletuav.Aviary("los", start=start, **POINTS)
     aviary.reset(seeds=0)
     np.testing.assert_array_equal(aviary.scene.goal[0], start)

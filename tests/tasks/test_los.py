@@ -23,8 +23,29 @@ def test_sight_by_hand(put_urban):
 
 @pytest.mark.parametrize(("wanted", "success"), [(0.8, True), (0.81, False)])
 def test_success_is_to_serve_as_many_as_wanted(put_urban, wanted, success):
-    step = put_urban("los", TOWER, DRONES, users=USERS, wanted=wanted).step(np.zeros((1, 2, 3)))
+    aviary = put_urban("los", TOWER, DRONES, users=USERS, wanted=wanted, horizon=3)
+    for decisions in range(1, 4):
+        step = aviary.step(np.zeros((1, 2, 3)))
+        # Decisions to come count as without service
+        np.testing.assert_allclose(step.info["mean_service"][0], 0.8 * decisions / 3)
     assert step.info["success"][0].tolist() == [success, success]
+
+
+def test_service_at_the_end_of_an_episode_is_not_enough(put_urban):
+    """A drone behind the tower comes into sight of the user, which then is seen to the end."""
+    drones, users = [(-20.0, 0, 30)], [(90.0, 0, 1.5)]
+    succeeded = []
+    for wanted in (0.5, 0.3):
+        aviary = put_urban("los", TOWER, drones, users=users, wanted=wanted, horizon=12)
+        seen = []
+        while aviary.alive.any():
+            step = aviary.step(np.array([[(0.0, 0, 1)]]))
+            seen.append(step.info["served"][0, 0])
+        assert seen == sorted(seen)
+        assert (seen[0], seen[-1]) == (0, 1)
+        np.testing.assert_allclose(step.info["mean_service"][0, 0], np.mean(seen))
+        succeeded.append(step.info["success"][0, 0] == (np.mean(seen) >= wanted))
+    assert all(succeeded)
 
 
 def test_targets_are_observed_where_they_are_and_whether_they_are_seen(put_urban):

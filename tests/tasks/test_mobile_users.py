@@ -145,11 +145,12 @@ def test_reward_of_sight_that_lasts(put):
 
 
 def test_success_is_to_see_as_many_as_wanted_among_all_drones(put):
-    step = fly(put("mobile_users", TOWER, DRONES, USERS, wanted=1.0), STAY)
+    short = {"horizon": 1}
+    step = fly(put("mobile_users", TOWER, DRONES, USERS, wanted=1.0, **short), STAY)
     assert step.info["served"][0].tolist() == [1, 1, 1]
     assert step.info["success"][0].tolist() == [True] * 3
     for wanted in (0.8, 0.81):
-        alone = fly(put("mobile_users", TOWER, DRONES[2:], USERS, wanted=wanted), STAY)
+        alone = fly(put("mobile_users", TOWER, DRONES[2:], USERS, wanted=wanted, **short), STAY)
         assert alone.info["served"][0].tolist() == [0.8]
         assert alone.info["success"][0].tolist() == [wanted == 0.8]
 
@@ -197,7 +198,7 @@ def test_bounds_hold_back_whatever_flies(put, boundary, dynamics):
 
 def test_the_bounds_can_end_it_instead(put):
     options = {"boundary": "end", "weights": {"out_of_bounds": -3.0}}
-    aviary = put("mobile_users", OPEN, [(-95, 0, 30), (0, 0, 60)], [(0, 0, 1.5)], **options)
+    aviary = put("mobile_users", OPEN, [(-95, 0, 30), (0, 0, 40)], [(0, 0, 1.5)], **options)
     step = fly(aviary, WEST, STAY)
     assert aviary.swarm.position[0, 0, 0] == pytest.approx(-110)
     assert step.terminated[0].tolist() == [True, False]

@@ -51,3 +51,20 @@ URBAN_DIFFICULTIES: dict[str, dict[str, Any]] = {
     },
 }
 """Difficulties of tasks in cities: the city, the number of drones, and randomization."""
+
+
+SERVICE_DRONES = {"medium": 4, "hard": 5, "extreme": 6}
+"""Number of drones that serve a city: so few that only some places serve most of it"""
+
+
+def service_difficulties(**wanted: float) -> dict[str, dict[str, Any]]:
+    """Return the difficulties of tasks of service over cities.
+
+    Args:
+        **wanted: Required service of each difficulty but "easy", whose options are the defaults.
+    """
+    own = {
+        name: {**URBAN_DIFFICULTIES[name], "num_drones": count, "wanted": wanted[name]}
+        for name, count in SERVICE_DRONES.items()
+    }
+    return {"easy": URBAN_DIFFICULTIES["easy"], **own}

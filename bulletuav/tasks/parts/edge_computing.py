@@ -28,7 +28,6 @@ from bulletuav.tasks.frame import Frame, Scene
 from bulletuav.tasks.observations.base import Block, make_drone_block
 from bulletuav.tasks.observations.users import MAX_QUEUE
 from bulletuav.tasks.parts.base import Rngs
-from bulletuav.tasks.parts.difficulties import URBAN_DIFFICULTIES
 from bulletuav.tasks.parts.users import Service, Users
 
 MAX_TASKS = 1e6
@@ -319,12 +318,6 @@ class EdgeComputing(Service):
         return completed
 
 
-EDGE_DIFFICULTIES = {
-    **URBAN_DIFFICULTIES,
-    # 16 drones serve all users from any positions
-    "extreme": {**URBAN_DIFFICULTIES["extreme"], "num_drones": 8},
-}
-"""Difficulties of tasks of edge computing"""
 EDGE_SHOWS = {
     "completed": "completed by all",
     "latency": "latency of all (s)",

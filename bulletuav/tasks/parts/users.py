@@ -16,6 +16,7 @@ from bulletuav.tasks.frame import Frame, Scene
 from bulletuav.tasks.observations.base import Block
 from bulletuav.tasks.parts.base import Part, Rngs
 from bulletuav.tasks.parts.city_layouts import USER_HEIGHT, CityLayouts
+from bulletuav.tasks.parts.mean_service import MeanService
 from bulletuav.tasks.targets import get_served_fraction
 
 
@@ -131,7 +132,7 @@ class Service(Part):
             task: The task, with the option `wanted`.
             users: Its users.
         """
-        self._wanted, self._users = float(task.config.wanted), users
+        self._mean = task.add(MeanService(task, users.served))
 
     def links(self, frame: Frame) -> np.ndarray:
         """Return which drones serve which users, (W, N, U) bool: those in sight."""
@@ -142,8 +143,8 @@ class Service(Part):
         return sight.astype(float)
 
     def succeeded(self, frame: Frame) -> np.ndarray:
-        """Return whether the required fraction of users is in sight of a drone, (W, N) bool."""
-        return self._users.served(frame) >= self._wanted
+        """Return whether a drone saw enough users, on average over the episode, (W, N) bool."""
+        return self._mean.succeeded(frame)
 
 
 def _mean_service_time(frame: Frame) -> np.ndarray:
