@@ -66,6 +66,12 @@ class SwarmFeatures(BaseFeaturesExtractor):
             parts += [each.sum(1) / 2, each.amax(1)]
         return torch.cat(parts, 1)
 
+    def reset_parameters(self) -> None:
+        """Set the initial weights of PyTorch's linear layers in all MLPs."""
+        for layer in self.each.modules():
+            if isinstance(layer, nn.Linear):
+                layer.reset_parameters()
+
     def _each(self, word: str, known: torch.Tensor, own: torch.Tensor) -> torch.Tensor:
         """Apply the MLP to features (B, K, F) of others, each with the own numbers (B, D)."""
         layers: Any = self.each[word]
