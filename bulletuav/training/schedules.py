@@ -16,6 +16,7 @@ learn to fly towards the goal, but not to hit it.
 GOAL_FLIGHT: dict[str, Any] = {
     "steps": 2_000_000,
     "worlds": 64,
+    "staggered": True,
     "stages": [{"dynamics": "point_mass"}, {}],  # then the default dynamics, which is slower
     "curriculum": {"up": 0.9, "window": 200},
     "model": {"features": "swarm", "n_steps": 32, "n_epochs": 4},

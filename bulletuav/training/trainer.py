@@ -98,7 +98,7 @@ def _train(config: RunConfig, store: Store, progress: Progress, note: Note, mlfl
             config.stages,
             Curriculum(len(config.stages), **config.curriculum),
             config.shared_reward,
-            staggered=True,
+            config.staggered,
             **config.options,
         )
         exit_stack.callback(env.close)
