@@ -2,11 +2,13 @@
 
     python benchmarks/leaderboard.py
     python benchmarks/leaderboard.py --rows crossing-ppo-0 crossing-orca_observed --out again
+    python benchmarks/leaderboard.py --evaluate
 
 leaderboard.yaml decides all rows. A row is a policy in a task: a baseline, or one that an algorithm
 has learned with a seed. It is made as a whole or not at all. So the same command goes on where it
 was interrupted, and a row whose settings have changed is made again. Finished rows are no part of
-the repository: `python tools/results.py fetch --all` restores them before others are added.
+the repository: `python tools/results.py fetch --all` restores them before others are added. With
+--evaluate finished rows fly again without training, after a change of what is measured.
 A row flies again by `bulletuav verify docs/results/leaderboard/rows/crossing-ppo-0`.
 Needs the extra `sb3`.
 """
@@ -63,12 +65,13 @@ WORK = "work"
 """Folder of the rows that are being made, in that of the leaderboard"""
 
 
-def make(row: Row, out: Path) -> None:
+def make(row: Row, out: Path, trains: bool = True) -> None:
     """Make a row: train where it is learned, evaluate, and keep it.
 
     Args:
         row: The row.
         out: Folder of the leaderboard.
+        trains: Whether to train; else the policy and the times of the finished row are kept.
     """
     single_thread()
     work, settings = out / WORK / row.name, row.settings
@@ -81,9 +84,12 @@ def make(row: Row, out: Path) -> None:
     kept = work / "row"
     kept.mkdir(parents=True)
     clocks = [_clocks()]
-    if row.seed is not None:
+    if row.seed is not None and trains:
         _train(row, work / "run")
         _keep(work / "run", kept)
+    elif row.seed is not None:
+        for name in (CONFIG, POLICY, CURVE):
+            shutil.copyfile(place / name, kept / name)
     clocks.append(_clocks())
     # Learned policies are told by their place in the row
     pilot = row.policy if row.seed is None else ROW_POLICY
@@ -102,7 +108,12 @@ def make(row: Row, out: Path) -> None:
     )
     asked["options"] = settings["options"]
     clocks.append(_clocks())
-    replace_file(kept / ROW, _text(row, asked, result, clocks, kept))
+    record = _record(row, asked, result, clocks, kept)
+    if not trains:
+        former = read_told(out, row) or {}
+        for kind in ("wall_seconds", "cpu_seconds"):
+            record[kind]["training"] = former[kind]["training"]
+    replace_file(kept / ROW, json.dumps(add_seal(record), indent=1) + "\n")
     place.parent.mkdir(exist_ok=True)
     # Nothing is deleted before the new row stands
     with contextlib.suppress(FileNotFoundError):
@@ -116,14 +127,14 @@ def _clocks() -> tuple[float, float]:
     return time.perf_counter(), time.process_time()
 
 
-def _text(
+def _record(
     row: Row,
     asked: dict[str, Any],
     result: Evaluation,
     clocks: Sequence[tuple[float, float]],
     kept: Path,
-) -> str:
-    """Write what a row tells, sealed: settings, times, estimates, hashes of flights and files."""
+) -> dict[str, Any]:
+    """Return what a row tells: settings, times, estimates, hashes of flights and files."""
     about = result.about
     spent = {
         kind: {
@@ -132,7 +143,7 @@ def _text(
         }
         for place, kind in enumerate(("wall_seconds", "cpu_seconds"))
     }
-    record = {
+    return {
         **row._asdict(),
         # Those that it flies against may read more
         "reads_swarm": row.seed is None and find_policy(row.policy, row.task).reads_swarm,
@@ -144,7 +155,6 @@ def _text(
         "call": format_call(asked),
         "files": hash_files(kept, (CONFIG, POLICY, CURVE)),
     }
-    return json.dumps(add_seal(record), indent=1) + "\n"
 
 
 def _train(row: Row, folder: Path) -> None:
@@ -269,6 +279,9 @@ def parse(argv: Sequence[str] | None) -> argparse.Namespace:
     )
     parser.add_argument("--tables", action="store_true", help="write the tables alone")
     parser.add_argument("--again", action="store_true", help="make rows that are there again")
+    parser.add_argument(
+        "--evaluate", action="store_true", help="fly rows that are there again, without training"
+    )
     return parser.parse_args(argv)
 
 
@@ -304,25 +317,30 @@ def main(argv: Sequence[str] | None = None) -> None:
     rows = list_rows(record)
     scores = {task: one.get("score", "return") for task, one in record["tasks"].items()}
     asked = [] if arguments.tables else chosen(rows, arguments.rows)
-    todo = [row for row in asked if arguments.again or read_told(out, row) is None]
+    flown = [row for row in asked if read_told(out, row) is not None]
+    if arguments.evaluate:
+        todo = flown
+    else:
+        todo = [row for row in asked if arguments.again or row not in flown]
     with show_progress("leaderboard", len(todo), "rows") as report:
         report(0)
-        for done, name in enumerate(_made(todo, out, arguments.workers), 1):
+        made = _made(todo, out, arguments.workers, not arguments.evaluate)
+        for done, name in enumerate(made, 1):
             report.note(name)
             report(done)
             write_tables(rows, scores, out)
     write_tables(rows, scores, out)
 
 
-def _made(rows: Sequence[Row], out: Path, workers: int) -> Iterator[str]:
+def _made(rows: Sequence[Row], out: Path, workers: int, trains: bool) -> Iterator[str]:
     """Make rows, in processes where these are several; give the names of those that are done."""
     if workers == 1:
         for row in rows:
-            make(row, out)
+            make(row, out, trains)
             yield row.name
         return
     with training_processes(workers) as pool:
-        futures = {pool.submit(make, row, out): row.name for row in rows}
+        futures = {pool.submit(make, row, out, trains): row.name for row in rows}
         for future in as_completed(futures):
             future.result()
             yield futures[future]

@@ -19,8 +19,16 @@ from bulletuav.report.charts import COLOURS
 from bulletuav.report.figures import blank_figure, save_figure
 from bulletuav.tasks import find_task
 
-SHOWN = ("success", "team_0_success", "drone_success", "conflict", "collision")
-"""Metrics beside the score"""
+SHOWN = (
+    "success",
+    "conflict",
+    "collision",
+    "extra_path",
+    "extra_time",
+    "jerk",
+    "energy",
+)
+"""Metrics beside safe success and score"""
 READS = ("nothing", "what drones observe", "the true state")
 """What policies read, from little to much"""
 COLUMNS = 3
@@ -34,12 +42,14 @@ class Entry(NamedTuple):
         policy: Its name.
         reads: What it reads, one of `READS`.
         told: What its rows tell.
-        score: What counts, over seeds.
+        success: Safe success, over seeds; that of the first team in games between teams.
+        score: What counts between policies of equal success, over seeds.
     """
 
     policy: str
     reads: str
     told: list[dict[str, Any]]
+    success: Estimate
     score: Estimate
 
     @property
@@ -75,7 +85,10 @@ def over_seeds(told: Sequence[Mapping[str, Any]], metric: str) -> Estimate:
 def read_entries(
     rows: Sequence[Row], scores: Mapping[str, str], out: Path
 ) -> dict[str, list[Entry]]:
-    """Read all rows that are there: entries of each task, best first."""
+    """Read all rows that are there: entries of each task, best first.
+
+    Policies are ranked by safe success in whole per cent, and by their scores where it is equal.
+    """
     found: dict[str, dict[str, list[dict[str, Any]]]] = {task: {} for task in scores}
     for row in rows:
         told = read_told(out, row)
@@ -84,11 +97,22 @@ def read_entries(
     entries = {}
     for task, policies in found.items():
         ones = [
-            Entry(policy, _reads(told[0]), told, over_seeds(told, scores[task]))
+            Entry(
+                policy,
+                _reads(told[0]),
+                told,
+                over_seeds(told, success_metric(scores[task])),
+                over_seeds(told, scores[task]),
+            )
             for policy, told in policies.items()
         ]
-        entries[task] = sorted(ones, key=lambda one: -one.score.mean)
+        entries[task] = sorted(ones, key=lambda one: (-round(one.success.mean, 2), -one.score.mean))
     return entries
+
+
+def success_metric(score: str) -> str:
+    """Return the metric of safe success that belongs to a score."""
+    return "team_0_success" if score == "team_0_return" else "safe_success"
 
 
 def _reads(told: Mapping[str, Any]) -> str:
@@ -105,7 +129,11 @@ def rival(entries: Sequence[Entry]) -> Entry | None:
 
 
 def verdict(learned: Entry, other: Entry) -> str:
-    """Compare scores by their intervals."""
+    """Compare safe success by its intervals, and scores where these overlap."""
+    if learned.success.low > other.success.high:
+        return "beats it"
+    if learned.success.high < other.success.low:
+        return "misses it"
     if learned.score.low > other.score.high:
         return "beats it"
     return "misses it" if learned.score.high < other.score.low else "ties with it"
@@ -136,9 +164,13 @@ def write_tables(rows: Sequence[Row], scores: Mapping[str, str], out: Path) -> N
     plot(entries, scores, out / "leaderboard.png")
 
 
-def _cells(score: Estimate) -> str:
-    """Write a score with its interval."""
-    return f"{score.mean:.1f} [{score.low:.1f}, {score.high:.1f}]"
+def _cells(one: Entry) -> list[str]:
+    """Write safe success and score with their intervals."""
+    success, score = one.success, one.score
+    return [
+        f"{success.mean:.2f} [{max(success.low, 0):.2f}, {min(success.high, 1):.2f}]",
+        f"{score.mean:.1f} [{score.low:.1f}, {score.high:.1f}]",
+    ]
 
 
 def _line(cells: Sequence[str]) -> str:
@@ -154,17 +186,18 @@ def _head(cells: Sequence[str]) -> list[str]:
 def _summary(entries: Mapping[str, Sequence[Entry]], scores: Mapping[str, str]) -> str:
     """Write the table of all tasks: the best that is learned beside its rival."""
     lines = ["# Leaderboard", ""]
-    lines += _head(("task", "best learned", "score", "best that reads no more", "score", "learned"))
+    shown = ("safe success", "score")
+    lines += _head(("task", "best learned", *shown, "best that reads no more", *shown, "learned"))
     for task, ones in entries.items():
         best = next((one for one in ones if one.is_learned), None)
         other = rival(ones)
         link = f"[{task}](#{task})" if ones else task
-        cells = [link, *(2 * ["not flown yet", ""])]
+        cells = [link, *(2 * ["not flown yet", "", ""])]
         if best:
             seeds = f"{len(best.told)} seed" + "s" * (len(best.told) > 1)
-            cells[1:3] = [f"`{best.policy}`, {seeds}", _cells(best.score)]
+            cells[1:4] = [f"`{best.policy}`, {seeds}", *_cells(best)]
         if other:
-            cells[3:5] = [f"`{other.policy}`", _cells(other.score)]
+            cells[4:7] = [f"`{other.policy}`", *_cells(other)]
         lines.append(_line([*cells, verdict(best, other) if best and other else ""]))
     return "\n".join(lines) + "\n"
 
@@ -186,7 +219,7 @@ def _conditions(about: Mapping[str, Any]) -> str:
 def _table(task: str, entries: Sequence[Entry], score: str) -> str:
     """Write the table of a task."""
     shown = [name for name in SHOWN if any(not math.isnan(one.mean(name)) for one in entries)]
-    heads = ["policy", "reads", "seeds", score.replace("_", " ")]
+    heads = ["policy", "reads", "seeds", "safe success", score.replace("_", " ")]
     heads += [name.replace("_", " ") for name in shown]
     conditions = dict.fromkeys(_conditions(told) for one in entries for told in one.told)
     lines = [f"## {task}", "", f"Each policy: {'; '.join(conditions)}.", ""]
@@ -194,7 +227,7 @@ def _table(task: str, entries: Sequence[Entry], score: str) -> str:
     for one in entries:
         seeds = ", ".join(str(told["seed"]) for told in one.told) if one.is_learned else "-"
         found = [one.mean(name) for name in shown]
-        cells = [f"`{one.policy}`", one.reads, seeds, _cells(one.score)]
+        cells = [f"`{one.policy}`", one.reads, seeds, *_cells(one)]
         cells += ["-" if math.isnan(mean) else f"{mean:.2f}" for mean in found]
         steps = f"{one.told[0]['settings']['steps']:,.0f}" if one.is_learned else "-"
         times = [f"{one.seconds(kind):.0f}" for kind in ("cpu_seconds", "wall_seconds")]

@@ -46,7 +46,7 @@ def declarations(kind: str) -> dict[str, Declaration]:
     """
     home = PACKAGE.joinpath(*PACKAGES[kind].split(".")[1:])
     found = {}
-    for path in home.glob("*.py"):
+    for path in home.rglob("*.py"):
         for match in DECLARED.finditer(path.read_text(encoding="utf-8")):
             if match["kind"] == kind:
                 name, version = NAME.search(match["body"]), VERSION.search(match["body"])

@@ -37,7 +37,7 @@ PACKAGES = {
 }
 """Where the package defines its own ingredients of each kind.
 
-Either a module, or a package of which all modules are imported.
+Either a module, or a package of which all modules are imported, those of its subpackages too.
 """
 
 _registered: dict[str, dict[str, Any]] = {kind: {} for kind in PACKAGES}
@@ -189,8 +189,9 @@ def _load(kind: str) -> None:
     loading.add(kind)
     try:
         home = importlib.import_module(PACKAGES[kind])
-        for found in pkgutil.iter_modules(getattr(home, "__path__", ())):
-            importlib.import_module(f"{PACKAGES[kind]}.{found.name}")
+        path = getattr(home, "__path__", ())
+        for found in pkgutil.walk_packages(path, f"{PACKAGES[kind]}."):
+            importlib.import_module(found.name)
         refused = _register_entry_points(kind)
     finally:
         loading.discard(kind)

@@ -50,13 +50,13 @@ def entry_points():
         "team_env": lambda: flown(
             bulletuav.team_env("pursuit_evasion", "chasers", "stay", **options)
         ),
-        "gymnasium.make": lambda: flown(gymnasium.make("bulletuav/Hover-v1", **options)),
+        "gymnasium.make": lambda: flown(gymnasium.make("bulletuav/Hover-v2", **options)),
         "gymnasium.make_vec": lambda: flown(
-            gymnasium.make_vec("bulletuav/Crossing-v1", num_envs=2, **options)
+            gymnasium.make_vec("bulletuav/Crossing-v2", num_envs=2, **options)
         ),
         "pettingzoo": lambda: (
             hasattr(pettingzoo, "register")
-            and flown(pettingzoo.make("parallel", "bulletuav/Hover-v1", **options))
+            and flown(pettingzoo.make("parallel", "bulletuav/Hover-v2", **options))
         ),
     }
 

@@ -170,12 +170,57 @@ def test_tables_tell_what_was_flown_and_what_was_not(board, benchmark):
     text = (out / "leaderboard.md").read_text()
     learned = json.loads((board / "rows" / LEARNED / "row.json").read_text())
     found = learned["estimates"]["return"]
-    assert f"| `ppo` | what drones observe | 0 | {found['mean']:.1f} [{found['low']:.1f}," in text
+    low, mean, high = (learned["estimates"]["safe_success"][key] for key in ("low", "mean", "high"))
+    start = f"| `ppo` | what drones observe | 0 | {mean:.2f} [{low:.2f}, {high:.2f}] |"
+    assert f"{start} {found['mean']:.1f} [{found['low']:.1f}," in text
     assert "| `random` | nothing | - |" in text
     assert "5 of 6 rows are there." in text
     assert "- `sac`, seed 7: hover" in text
     assert learned["hash"] in (out / "leaderboard.csv").read_text()
     assert (out / "leaderboard.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_row_flies_again_without_training(board, benchmark, monkeypatch):
+    path = board / "rows" / LEARNED
+    before = {file.name: file.read_bytes() for file in path.iterdir()}
+    monkeypatch.setattr(benchmark, "_train", None)
+    monkeypatch.setattr("leaderboard_tables.plot", lambda *args: None)
+    call = ["--config", str(board.parent / "leaderboard.yaml"), "--out", str(board)]
+    benchmark.main([*call, "--evaluate", "--rows", LEARNED])
+    after = {file.name: file.read_bytes() for file in path.iterdir()}
+    mine, former = (json.loads(one.pop("row.json")) for one in (after, before))
+    assert after == before
+    assert mine["hash"] == former["hash"]
+    for kind in ("wall_seconds", "cpu_seconds"):
+        assert mine[kind]["training"] == former[kind]["training"] > 0
+    assert all(check.same for check in Verifier().verify(path))
+
+
+def test_safe_success_ranks_before_the_score(benchmark, tmp_path):
+    from leaderboard_tables import read_entries, verdict
+
+    rows = []
+    for policy, success, score in [("a", 0.5, 90.0), ("b", 1.0, 10.0), ("c", 0.998, 20.0)]:
+        row = benchmark.list_rows(read_settings(ROOT / "benchmarks" / "leaderboard.yaml", "s"))[0]
+        row = row._replace(policy=policy)
+        estimates = {
+            name: {"mean": mean, "low": mean, "high": mean, "episodes": 2}
+            for name, mean in (("safe_success", success), ("return", score))
+        }
+        told = {**row._asdict(), "reads_swarm": False, "episodes": 2, "estimates": estimates}
+        folder = tmp_path / "rows" / row.name
+        folder.mkdir(parents=True)
+        (folder / "row.json").write_text(json.dumps(told))
+        rows.append(row)
+    ones = read_entries(rows, {rows[0].task: "return"}, tmp_path)[rows[0].task]
+    assert [one.policy for one in ones] == ["c", "b", "a"]
+    by_policy = {one.policy: one for one in ones}
+    assert verdict(by_policy["a"], by_policy["b"]) == "misses it"
+    assert verdict(by_policy["b"], by_policy["a"]) == "beats it"
+    equal = by_policy["b"]._replace(success=by_policy["c"].success)
+    assert verdict(equal, by_policy["c"]) == "misses it"
+    assert verdict(by_policy["c"], equal) == "beats it"
+    assert verdict(equal, equal) == "ties with it"
 
 
 def test_intervals_over_seeds_are_students(benchmark):

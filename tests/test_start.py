@@ -180,12 +180,12 @@ def test_a_version_is_read(tmp_path, monkeypatch):
 MAKE = """
 for name in ("gymnasium", "pettingzoo"):  # as programs do that only look for a package
     importlib.util.find_spec(name)
-env = gymnasium.make("bulletuav/Hover-v1", dynamics="point_mass")
+env = gymnasium.make("bulletuav/Hover-v2", dynamics="point_mass")
 env.reset(seed=0)
-env = gymnasium.make_vec("bulletuav/Crossing-v1", 2, dynamics="point_mass")
+env = gymnasium.make_vec("bulletuav/Crossing-v2", 2, dynamics="point_mass")
 if hasattr(pettingzoo, "register"):
-    pettingzoo.make("parallel", "bulletuav/Hover-v1", dynamics="point_mass")
-    pettingzoo.make("aec", "bulletuav/Hover-v1", dynamics="point_mass")
+    pettingzoo.make("parallel", "bulletuav/Hover-v2", dynamics="point_mass")
+    pettingzoo.make("aec", "bulletuav/Hover-v2", dynamics="point_mass")
 """
 
 
@@ -204,7 +204,7 @@ def test_ids_are_registered_whatever_is_imported_first(imports):
 
 def test_registration_imports_neither_numba_nor_a_task():
     program = "import bulletuav, gymnasium, pettingzoo\n"
-    program += "assert 'bulletuav/Hover-v1' in gymnasium.registry\n"
+    program += "assert 'bulletuav/Hover-v2' in gymnasium.registry\n"
     assert not imported(program) & {"numba", "scipy", "pybullet", "bulletuav.tasks"}
 
 

@@ -1,12 +1,21 @@
-"""Test of a task's reward: its baseline against degenerate policies, which should earn less.
+"""Check of tasks: what do policies earn that do not do the task, and who can do it?
 
-In a game between teams, the degenerate policies control the first team, and the other teams are
-controlled as in the baseline. Only the returns of the first team are compared: an average over both
-teams would be uninformative, as the gain of one team is the loss of the other.
+Each policy flies the same episodes as the task's baseline and has a role:
+
+- the oracle, which knows the whole state, shows that the task can be done;
+- blind policies observe nothing, and should not succeed;
+- policies that shirk try to be paid without doing the task, and should earn less;
+- others, such as learned policies, should not earn more than the baseline at less success.
+
+Success is safe success: the purpose of the task without conflict or collision. In a game between
+teams the policies control the first team, and the other teams are controlled as in the baseline.
+Return and success are those of the first team then: an average over both teams would be
+uninformative, as the gain of one team is the loss of the other. Oracles and blind policies of games
+are not judged by their success, as it depends on the opponents.
 """
 
-from collections.abc import Callable, Iterator
-from typing import Any, NamedTuple
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import Any, Literal, NamedTuple
 
 from bulletuav.analysis.conditions import Conditions
 from bulletuav.analysis.evaluation import Evaluation, evaluate
@@ -16,59 +25,89 @@ from bulletuav.policies import PolicySource
 from bulletuav.policies.versus import VERSUS
 from bulletuav.tasks import TaskSource, find_task
 
-DEGENERATE_POLICIES = ("stay", "climb", "dive", "leave", "crash", "circle", "straight", "clump")
+BLIND_POLICIES = ("stay", "climb", "spread")
+"""Policies that observe nothing; see `bulletuav.policies.scripted`"""
+DEGENERATE_POLICIES = ("dive", "leave", "crash", "circle", "straight", "clump")
 """Policies that no task should reward; see `bulletuav.policies.scripted`"""
 HOVERING_POLICY = "stay"
 """Policy that stays in place, against which the lead of the baseline is measured"""
 MIN_LEAD_FRACTION = 0.1
 """Minimum margin over each degenerate policy, as a fraction of the lead over staying in place"""
+MIN_ORACLE_SUCCESS = 0.9
+"""Minimum safe success of an oracle"""
+MAX_BLIND_SUCCESS = 0.1
+"""Maximum safe success of a policy that observes nothing"""
+
+Role = Literal["baseline", "oracle", "blind", "shirker", "other"]
 
 
 class Incentive(NamedTuple):
-    """Returns of a task's baseline and of a degenerate policy, in the same episodes.
+    """Safe success and return of a policy, in the same episodes as the task's baseline.
 
     Attributes:
         task: Name of the task.
         difficulty: Difficulty of the task.
-        baseline: Name of the baseline.
-        degenerate_policy: Name of the degenerate policy.
-        baseline_return: Return of the baseline, mean over drones; in a game, over the first team.
-        success: Fraction of these drones that succeed with the baseline.
-        degenerate_return: Return of the degenerate policy.
-        return_difference: Baseline's return minus the degenerate policy's, episode by episode.
+        policy: Name of the policy.
+        role: Its role; see the module.
+        success: Fraction of drones that succeed safely; in a game, of the first team.
+        earned: Return, mean over drones; in a game, over the first team.
+        success_gap: Baseline's safe success minus the policy's, episode by episode.
+        gap: Baseline's return minus the policy's, episode by episode.
         lead: Baseline's mean return minus that of staying in place.
+        is_game: Whether the task is a game between teams.
         conditions: Task, difficulty, dynamics, episodes and seeds of these returns.
     """
 
     task: str
     difficulty: str
-    baseline: str
-    degenerate_policy: str
-    baseline_return: Estimate
+    policy: str
+    role: Role
     success: Estimate
-    degenerate_return: Estimate
-    return_difference: Estimate
+    earned: Estimate
+    success_gap: Estimate
+    gap: Estimate
     lead: float
+    is_game: bool
     conditions: Conditions
 
     @property
-    def holds(self) -> bool:
-        """Whether the baseline earns more by a margin of at least a tenth of its lead.
+    def margin(self) -> float:
+        """Lower end of the 95 % interval of `gap`, as a fraction of `lead`; NaN without a lead."""
+        return self.gap.low / self.lead if self.lead > 0 else float("nan")
 
-        The lower end of the 95 % interval of the difference must exceed the margin.
-        """
-        return self.lead > 0 and self.return_difference.low > MIN_LEAD_FRACTION * self.lead
+    @property
+    def fault(self) -> str:
+        """What is wrong with the task, "" if nothing is."""
+        if self.lead <= 0:
+            return "staying earns as much as the baseline"
+        if self.role == "oracle":
+            return "" if self.is_game or self.success.mean >= MIN_ORACLE_SUCCESS else "too hard"
+        is_seeing = self.is_game or self.role != "blind"
+        if not is_seeing and self.success.mean > MAX_BLIND_SUCCESS:
+            return "done blindly"
+        if self.role in ("blind", "shirker"):
+            # A policy that succeeds as often as the baseline does the task
+            does_it = self.role == "shirker" and self.success_gap.low <= 0 < self.success.mean
+            return "" if does_it or self.margin > MIN_LEAD_FRACTION else "pays to avoid the task"
+        if self.role == "other" and self.success_gap.low > 0 and self.gap.high < 0:
+            return "pays more for less success"
+        return ""
 
 
-def list_degenerate_policies(task: TaskSource, baseline: PolicySource) -> list[str]:
-    """List the policies that a task's baseline is compared with."""
-    with_targets = not find_task(task).has_goals
+def list_policies(task: TaskSource, baseline: PolicySource) -> dict[str, Role]:
+    """List the policies that a task's baseline is compared with, and their roles."""
+    kind = find_task(task)
     first, *opponents = _split_teams(baseline)
-    left_out = {first} if with_targets else {first, "clump"}
+    left_out = {first, kind.oracle, *(("clump",) if kind.has_goals else ())}
     # In a game the goals are opponents, so that flying straight at the goal is the desired
     # behaviour.
     left_out |= {"straight"} if opponents else set()
-    return [name for name in DEGENERATE_POLICIES if name not in left_out]
+    roles: dict[str, Role] = {}
+    if not kind.is_game:
+        roles[kind.oracle or str(first)] = "oracle"
+    roles |= dict.fromkeys(BLIND_POLICIES, "blind")
+    roles |= dict.fromkeys((*DEGENERATE_POLICIES, *kind.shirkers), "shirker")
+    return {name: role for name, role in roles.items() if role == "oracle" or name not in left_out}
 
 
 def _split_teams(policy: PolicySource) -> list[PolicySource]:
@@ -84,9 +123,10 @@ def incentives(
     workers: int = 1,
     progress: Callable[[int], None] | None = None,
     trust: bool = False,
+    others: Sequence[str] = (),
     **options: Any,
 ) -> Iterator[Incentive]:
-    """Compare a task's baseline with each degenerate policy, in the same episodes.
+    """Compare a task's baseline with oracle, blind and shirking policies, in the same episodes.
 
     Args:
         task: Name or class of the task.
@@ -96,47 +136,77 @@ def incentives(
         workers: Number of processes; it only affects the speed.
         progress: Callback that receives the number of newly finished episodes.
         trust: Whether to load models that can run code on loading.
+        others: Further policies, which should not earn more than the baseline at less success.
         **options: Options of `parallel_env`, such as `difficulty`.
 
     Yields:
-        A comparison for each degenerate policy, the one that stays in place first.
+        The baseline, then each policy of `list_policies`, then the others.
 
     Raises:
         ValueError: If an argument is invalid.
     """
+    kind = find_task(task)
+    chosen = kind.baseline if policy is None else policy
+    first, *opponents = _split_teams(chosen)
     # In a game only the first team's metrics are compared
-    chosen = find_task(task).baseline if policy is None else policy
-    opponents = _split_teams(chosen)[1:]
     metrics = (FIRST_RETURN, FIRST_SUCCESS) if opponents else ()
-    degenerate_return, success = (
-        (one.name for one in metrics) if opponents else ("return", "drone_success")
-    )
+    earned, success = (one.name for one in metrics) if opponents else ("return", "safe_success")
 
     def fly(name: PolicySource) -> Evaluation:
         given = (task, name, episodes, seed, workers, None, progress, trust, metrics)
         # All these policies output velocities, whatever the task's default action.
         return evaluate(*given, **{"action": "velocity", **options})
 
-    def fly_degenerate(name: str) -> Evaluation:
-        return fly(VERSUS.join([name, *map(str, opponents)]))
-
+    base = fly(chosen)
+    flown = {first: base} if isinstance(first, str) else {}
+    roles = {**list_policies(task, chosen), **dict.fromkeys(others, "other")}
     # The return of staying in place is the reference of the lead
-    base, standing = fly(chosen), fly_degenerate(HOVERING_POLICY)
-    lead = _estimate_difference(base, standing, degenerate_return).mean
-    for name in list_degenerate_policies(task, chosen):
-        other = standing if name == HOVERING_POLICY else fly_degenerate(name)
+    for name in (HOVERING_POLICY, *roles):
+        if name not in flown:
+            flown[name] = fly(VERSUS.join([name, *map(str, opponents)]))
+    lead = _estimate_difference(base, flown[HOVERING_POLICY], earned).mean
+    pairs: Iterable[tuple[str, Any, Evaluation]] = [
+        (base.about["policy"], "baseline", base),
+        *((name, role, flown[name]) for name, role in roles.items()),
+    ]
+    for name, role, other in pairs:
         yield Incentive(
             task=base.about["task"],
             difficulty=base.about["options"]["difficulty"],
-            baseline=base.about["policy"],
-            degenerate_policy=name,
-            baseline_return=base.estimates()[degenerate_return],
-            success=base.estimates()[success],
-            degenerate_return=other.estimates()[degenerate_return],
-            return_difference=_estimate_difference(base, other, degenerate_return),
+            policy=name,
+            role=role,
+            success=other.estimates()[success],
+            earned=other.estimates()[earned],
+            success_gap=_estimate_difference(base, other, success),
+            gap=_estimate_difference(base, other, earned),
             lead=lead,
+            is_game=bool(opponents),
             conditions=base.conditions,
         )
+
+
+def find_reversals(found: Iterable[Incentive]) -> list[str]:
+    """List the difficulties at which an oracle succeeds more often than at an easier one.
+
+    Args:
+        found: Results of several difficulties, from easy to hard.
+
+    Returns:
+        A sentence for each reversal that the 95 % intervals do not explain.
+    """
+    last: dict[str, Incentive] = {}
+    reversals = []
+    for one in found:
+        if one.role != "oracle" or one.is_game:
+            continue
+        easier = last.get(one.task)
+        if easier is not None and one.success.low > easier.success.high:
+            reversals.append(
+                f"{one.task}: the oracle succeeds more often at {one.difficulty} "
+                f"({one.success.mean:.2f}) than at {easier.difficulty} ({easier.success.mean:.2f})"
+            )
+        last[one.task] = one
+    return reversals
 
 
 def _estimate_difference(one: Evaluation, other: Evaluation, metric: str) -> Estimate:

@@ -1,8 +1,9 @@
 """`bulletuav incentives`: check that reward functions favour the intended behaviour."""
 
 import argparse
+from collections.abc import Iterable
 
-from bulletuav.analysis.incentives import Incentive, incentives, list_degenerate_policies
+from bulletuav.analysis.incentives import Incentive, find_reversals, incentives, list_policies
 from bulletuav.commands.arguments import (
     given_options,
     make_out_folder,
@@ -16,28 +17,31 @@ COLUMNS = (
     "task",
     "difficulty",
     "dynamics",
-    "baseline",
+    "role",
+    "policy",
+    "safe success",
     "return",
-    "success",
-    "shirker",
-    "its return",
     "gap over lead",
     "holds",
 )
 
 
 def run(arguments: argparse.Namespace) -> None:
-    """Compare returns, print the summary and write the tables."""
+    """Compare policies, print the summary and write the tables."""
     options = given_options(arguments)
     out = make_out_folder(arguments.out)
+    others = split_names(arguments.others)
     # Each task at each difficulty
     cases = [
         (task, difficulty)
         for task in arguments.tasks or list_tasks()
-        for difficulty in _difficulties(task, arguments.difficulties)
+        for difficulty in split_names(arguments.difficulties) or find_task(task).difficulties
     ]
     flights = sum(
-        1 + len(list_degenerate_policies(task, arguments.policy or find_task(task).baseline))
+        1
+        + len(list_policies(task, arguments.policy or find_task(task).baseline))
+        - (not find_task(task).oracle and not find_task(task).is_game)
+        + len(others)
         for task, _ in cases
     )
     found: list[Incentive] = []
@@ -51,28 +55,41 @@ def run(arguments: argparse.Namespace) -> None:
                 arguments.workers,
                 advance,
                 arguments.trust,
+                others,
                 **{**options, "difficulty": difficulty},
             )
-
-    # Print the shirker with the smallest gap for each case; the file has all
-    worst: dict[tuple[str, str], Incentive] = {}
-    for one in found:
-        case = (one.task, one.difficulty)
-        if case not in worst or one.return_difference.low < worst[case].return_difference.low:
-            worst[case] = one
     files = [out / "incentives.md", out / "all.md"]
-    table = incentives_table(list(worst.values()))
+    table = incentives_table(select_worst(found))
     replace_file(files[0], table)
     replace_file(files[1], incentives_table(found))
     print(table)
+    for one in found:
+        if one.fault:
+            print(f"{one.task}, {one.difficulty}, {one.policy}: {one.fault}")
+    for reversal in find_reversals(found):
+        print(reversal)
     print_files(files)
 
 
-def _difficulties(task: str, asked: str | None) -> list[str]:
-    """Return the requested difficulties, or else all of the task."""
-    if asked:
-        return [name.strip() for name in asked.split(",") if name.strip()]
-    return list(find_task(task).difficulties)
+def split_names(text: str | None) -> list[str]:
+    """Return the names of a comma-separated list."""
+    return [name.strip() for name in (text or "").split(",") if name.strip()]
+
+
+def select_worst(found: Iterable[Incentive]) -> list[Incentive]:
+    """Select one policy for each task, difficulty and role: that which is nearest to a fault."""
+    worst: dict[tuple[str, str, str], Incentive] = {}
+    for one in found:
+        case = (one.task, one.difficulty, one.role)
+        if case not in worst or _rank(one) > _rank(worst[case]):
+            worst[case] = one
+    return list(worst.values())
+
+
+def _rank(one: Incentive) -> tuple[bool, float, float]:
+    """Return how near a policy is to a fault; larger is nearer."""
+    success = one.success.mean if one.role == "blind" else 0.0
+    return bool(one.fault), success, -one.gap.low
 
 
 def incentives_table(found: list[Incentive]) -> str:
@@ -84,20 +101,17 @@ def incentives_table(found: list[Incentive]) -> str:
         "|" + "---|" * len(COLUMNS),
     ]
     for one in found:
-        earned = one.baseline_return
-        # Gap to the shirker as a fraction of the lead of the baseline over staying
-        share = one.return_difference.low / one.lead if one.lead > 0 else float("nan")
+        success, earned = one.success, one.earned
         row = (
             one.task,
             one.difficulty,
             one.conditions.dynamics,
-            one.baseline,
+            one.role,
+            one.policy,
+            f"{success.mean:.2f} [{success.low:.2f}, {success.high:.2f}]",
             f"{earned.mean:.4g} [{earned.low:.4g}, {earned.high:.4g}]",
-            f"{one.success.mean:.2f}",
-            one.degenerate_policy,
-            f"{one.degenerate_return.mean:.4g}",
-            f"{share:.2f}",
-            "yes" if one.holds else "no",
+            "-" if one.role in ("baseline", "oracle") else f"{one.margin:.2f}",
+            one.fault or "yes",
         )
         lines.append("| " + " | ".join(row) + " |")
     return "\n".join(lines) + "\n"

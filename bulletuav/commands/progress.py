@@ -80,7 +80,7 @@ def _compiled(compilation: Compilation) -> str:
     """Return a text with the progress of the compilation."""
     number = compilation.num_functions
     left = f" of about {EXPECTED_FUNCTIONS}" if number <= EXPECTED_FUNCTIONS else ""
-    return f"{number}{left} functions, {compilation.seconds:.0f} s (the first time only)"
+    return f"{number}{left} functions, {compilation.seconds:.0f} s, kept for later runs"
 
 
 @contextlib.contextmanager

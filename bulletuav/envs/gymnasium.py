@@ -33,7 +33,7 @@ METADATA: dict[str, Any] = {"render_modes": list(RENDER_MODES)}
 
 
 def environment_id(task: str) -> str:
-    """Return the id of a task for Gymnasium and PettingZoo: `bulletuav/Hover-v1` for hover."""
+    """Return the id of a task for Gymnasium and PettingZoo: `bulletuav/Hover-v2` for hover."""
     return f"bulletuav/{task.title().replace('_', '')}-v{find_task(task).version}"
 
 

@@ -32,7 +32,7 @@ def __getattr__(name: str) -> Any:
 
 
 def format_id(task: str, version: int) -> str:
-    """Return the id of a task for Gymnasium and PettingZoo: `bulletuav/Hover-v1` for hover."""
+    """Return the id of a task for Gymnasium and PettingZoo: `bulletuav/Hover-v2` for hover."""
     return f"bulletuav/{task.title().replace('_', '')}-v{version}"
 
 

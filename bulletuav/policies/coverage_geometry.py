@@ -51,6 +51,28 @@ def ring_positions(
     return places
 
 
+def grid_positions(count: int, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """Compute positions in rows that divide a rectangle evenly, row by row from the south-west.
+
+    Args:
+        count: Number of positions, at least 1.
+        low: (2,) lower corner of the rectangle, m.
+        high: (2,) upper corner of the rectangle, m.
+
+    Returns:
+        (count, 2) positions, m: the centres of equal parts of each row.
+    """
+    rows = round(math.sqrt(count))
+    sizes = [count // rows + (row < count % rows) for row in range(rows)]
+    cells = [
+        ((column + 0.5) / size, (row + 0.5) / rows)
+        for row, size in enumerate(sizes)
+        for column in range(size)
+    ]
+    places: np.ndarray = low + np.array(cells) * (high - low)
+    return places
+
+
 def farthest_first(points: np.ndarray, count: int) -> np.ndarray:
     """Select points by farthest-first traversal, starting with the point nearest to the mean.
 

@@ -159,7 +159,7 @@ def find_policy(
     if text in SHIPPED_NAMES:
         return _from_package(text, task, trust)
     if text not in names("policy") and Path(text).is_dir():
-        return _from_run(Path(text), text, trust)
+        return _from_run(Path(text), text, trust, task)
     before, colon, after = text.partition(":")
     if not colon:
         return _from_name(text)
@@ -228,7 +228,7 @@ def _from_package(name: str, task: TaskSource | None, trust: bool) -> PolicySpec
     if task is None:
         raise ValueError(f"policy {name!r} is another one in each task: say which task")
     run = shipped(find_task(task).name)
-    return _from_run(run if name == "trained" else run / CHECKPOINTS / "000", name, trust)
+    return _from_run(run if name == "trained" else run / CHECKPOINTS / "000", name, trust, task)
 
 
 def config_file(folder: Path) -> Path:
@@ -237,23 +237,24 @@ def config_file(folder: Path) -> Path:
     return (folder.parents[1] if is_checkpoint else folder) / CONFIG
 
 
-def read_run_config(folder: Path, trust: bool = False) -> RunConfig:
+def read_run_config(folder: Path, trust: bool = False, task: TaskSource | None = None) -> RunConfig:
     """Read the configuration of a training run.
 
     Args:
         folder: Folder of the run, or of a checkpoint two levels below it.
         trust: Whether modules that the file names may be imported.
+        task: Task that the user named; the file may name it, too.
 
     Raises:
         ValueError: If the file is of another kind, or contains an invalid setting.
         FileNotFoundError: If there is no such file.
     """
-    return RunConfig.read(config_file(folder), trust)
+    return RunConfig.read(config_file(folder), trust, (task,))
 
 
-def _from_run(folder: Path, name: str, trust: bool) -> PolicySpec:
+def _from_run(folder: Path, name: str, trust: bool, task: TaskSource | None) -> PolicySpec:
     """Find the policy of a run, or of a checkpoint two levels below it."""
-    config = read_run_config(folder, trust)
+    config = read_run_config(folder, trust, task)
     if config.constants != CONSTANTS:
         warnings.warn(
             f"policy {name!r} of {config.task} was trained with constants {config.constants}, and "

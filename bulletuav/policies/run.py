@@ -5,7 +5,7 @@ The folder of a run contains this file and `policy.safetensors`, the trained pol
 
 import dataclasses
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -183,18 +183,19 @@ class RunConfig:
         return cls(**given)
 
     @classmethod
-    def read(cls, path: Path, trust: bool = False) -> "RunConfig":
+    def read(cls, path: Path, trust: bool = False, known: Collection[Any] = ()) -> "RunConfig":
         """Read a configuration from a YAML file.
 
         Args:
             path: A file written by `text`, or by hand: `version`, `task`, and any other settings.
             trust: Whether modules that the file names as `module:Name` may be imported.
+            known: Names whose modules may be imported in any case.
 
         Raises:
             ValueError: If the file is of another kind or version, or contains an invalid setting.
             FileNotFoundError: If there is no such file.
         """
-        settings = read_settings(path, "run.yaml of a run", trust)
+        settings = read_settings(path, "run.yaml of a run", trust, known)
         # Add the name of the file to all errors.
         try:
             return cls.of(settings)
@@ -264,13 +265,16 @@ class RunConfig:
         return resolve_options(find_task(self.task), self._given).options
 
 
-def read_settings(path: Path, what: str, trust: bool = False) -> dict[str, Any]:
+def read_settings(
+    path: Path, what: str, trust: bool = False, known: Collection[Any] = ()
+) -> dict[str, Any]:
     """Read settings from a YAML file with a format version.
 
     Args:
         path: The file.
         what: Description of the required file, for the message, such as "run.yaml of a run".
         trust: Whether the file may name modules as `module:Name`.
+        known: Names that it may name in any case, as the user named them, too.
 
     Returns:
         Settings by name, without the version.
@@ -288,7 +292,7 @@ def read_settings(path: Path, what: str, trust: bool = False) -> dict[str, Any]:
         )
     _require_version(path, values)
     if not trust:
-        _forbid_modules(path, values)
+        _forbid_modules(path, values, known)
     return {name: value for name, value in values.items() if name != "version"}
 
 
@@ -347,19 +351,19 @@ def plain_value(value: Any) -> Any:
     return [plain_value(one) for one in value] if isinstance(value, list | tuple) else value
 
 
-def _forbid_modules(path: Path, value: Any) -> None:
-    """Check that a file names no module, as importing a module runs its code.
+def _forbid_modules(path: Path, value: Any, known: Collection[Any]) -> None:
+    """Check that a file names no module beside known ones, as importing a module runs its code.
 
     Raises:
         ValueError: If the file names a module; the message includes the name and the remedy.
     """
     if isinstance(value, Mapping):
         for one in value.values():
-            _forbid_modules(path, one)
+            _forbid_modules(path, one, known)
     elif isinstance(value, list):
         for one in value:
-            _forbid_modules(path, one)
-    elif isinstance(value, str) and MODULE_NAME.fullmatch(value):
+            _forbid_modules(path, one, known)
+    elif isinstance(value, str) and MODULE_NAME.fullmatch(value) and value not in known:
         raise ValueError(
             f"{path} names {shown(value)}, whose module would be imported: if you trust its "
             f"author, set --trust (in Python trust=True)"

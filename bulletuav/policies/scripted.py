@@ -12,7 +12,8 @@ from bulletuav.conflict.measures import pair_offsets
 from bulletuav.control.actions import limit_norm
 from bulletuav.policies.base import Policy
 from bulletuav.policies.coverage import Oracle
-from bulletuav.policies.coverage_geometry import ring_positions
+from bulletuav.policies.coverage_geometry import assign_optimally, grid_positions, ring_positions
+from bulletuav.policies.straight import APPROACH
 from bulletuav.registry import register
 from bulletuav.tasks.observations.observer import Observation
 from bulletuav.vehicle.swarm import Swarm
@@ -142,6 +143,23 @@ class Circle(Scripted):
         back = BACK * (inward * (distance - radius) + (way - level))
         turning: np.ndarray = nearness * speed * tangent + back + scene.goal_velocity
         return turning
+
+
+@register("policy")
+class Spread(Scripted):
+    """Fly straight to evenly spaced places at half the height of the arena, and stay there."""
+
+    name = "spread"
+
+    def velocities(self, swarm: Swarm) -> np.ndarray:
+        """Return velocities to the places; see `Scripted.velocities`."""
+        low, high = self.aviary.task.arena_low, self.aviary.task.arena_high
+        places = grid_positions(swarm.position.shape[1], low[:2], high[:2])
+        goal = np.full(swarm.position.shape, 0.5 * (low[2] + high[2]))
+        for w, here in enumerate(swarm.position):
+            goal[w, :, :2] = assign_optimally(places, here[:, :2])
+        velocity: np.ndarray = APPROACH * (goal - swarm.position)
+        return velocity
 
 
 @register("policy")

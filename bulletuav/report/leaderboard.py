@@ -15,6 +15,7 @@ LEADERBOARD = "leaderboard.json"
 DIGITS = 8
 """Number of digits of hashes in tables"""
 SHOWN = {
+    "safe_success": "safe success",
     "success": "success",
     "drone_success": "drones",
     "return": "return",

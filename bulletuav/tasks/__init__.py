@@ -48,7 +48,7 @@ def list_tasks() -> list[str]:
 def find_task(source: TaskSource) -> type[Task[Any]]:
     """Return the class of a task, given its name, `module:Name` or the class itself.
 
-    A name may end with the version of its environment: "hover_v1" or "hover-v1".
+    A name may end with the version of its environment: "hover_v2" or "hover-v2".
 
     Raises:
         ValueError: If no task has this name or version (the message suggests similar names), or if

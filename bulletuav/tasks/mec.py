@@ -52,8 +52,8 @@ class Mec(UserService[MecConfig]):
     End: terminated on contact of collision shapes and when the battery is empty. Truncated after
     100 decisions. Drones stop at the city's edges and at the ceiling.
 
-    Success: 70 % of the episode's tasks are completed, and the drone had no conflict or collision in
-    the episode.
+    Success: 70 % of the episode's tasks are completed, and the drone had no conflict or collision
+    in the episode.
 
     Preset urbanmarl: sizes and rates of UrbanMARL 0.3.1 (docs/explanation/radio_and_edge.md).
     """

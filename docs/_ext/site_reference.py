@@ -23,13 +23,19 @@ import bulletuav  # noqa: E402
 from bulletuav import cli  # noqa: E402
 from bulletuav.commands import task_description as description  # noqa: E402
 from bulletuav.envs.options import EnvOptions  # noqa: E402
-from bulletuav.policies.find import find_policy  # noqa: E402
 from bulletuav.registry import PACKAGES, find, names  # noqa: E402
 from bulletuav.tasks import find_task  # noqa: E402
 
 REFERENCE = ROOT / "docs" / "reference"
 RESULTS = ROOT / "docs" / "results"
-MEASURED = ("baselines", "cities", "formation", "service")
+INCENTIVES = RESULTS / "incentives" / "incentives.md"
+ROLES = {
+    "oracle": "oracle",
+    "baseline": "baseline",
+    "blind": "best blind policy",
+    "shirker": "policy that avoids the task",
+}
+"""Roles of policies in `INCENTIVES`, with their headings"""
 """Folders of results of `bulletuav compare` on several difficulties"""
 NAME_ROW = re.compile(r"^\| `(bulletuav[\w.]*)` \| (.*) \|$", re.MULTILINE)
 MDP_PARTS = ("Observation", "Action", "Reward", "End", "Success")
@@ -90,7 +96,7 @@ def task_page(name: str) -> str:
         "An empty cell is the default.",
         rich_table(description.main_options_table(task)),
         rich_table(description.difficulties_table(task), ("name", "options")),
-        *rates(name, find_policy(task.baseline, name).name),
+        *rates(name),
         "## Options",
         rich_table(description.options_table(task), ("option", "default", "meaning")),
         "[Options that all tasks have](../options.md).",
@@ -101,32 +107,46 @@ def task_page(name: str) -> str:
     return "\n\n".join(parts)
 
 
-def rates(task: str, baseline: str) -> Iterator[str]:
-    """Write the table of success rates of a task, if results of it were measured."""
-    files = [RESULTS / name / "leaderboard.md" for name in MEASURED]
-    found = [row for path in files for row in read_leaderboard(path) if row["task"] == task]
+def rates(task: str) -> Iterator[str]:
+    """Write the safe success of oracle, baseline, blind and shirking policies by difficulty.
+
+    Args:
+        task: Name of the task; without measured rates there is no table.
+    """
+    found = [row for row in read_incentives(INCENTIVES) if row["task"] == task]
     if not found:
         return
-    # With several dynamics, the last one has the most forces.
-    dynamics = found[-1]["dynamics"]
-    found = [row for row in found if row["dynamics"] == dynamics]
     levels = list(dict.fromkeys(row["difficulty"] for row in found))
-    policies = {row["policy"]: row["reads"] for row in found}
-    values = {(row["policy"], row["difficulty"]): row["drones"] for row in found}
-    lines = []
-    for policy, reads in policies.items():
-        shown = [values.get((policy, level), "") for level in levels]
-        mark = " (baseline)" if policy == baseline else ""
-        lines.append([f"`{policy}`{mark}", reads, *shown])
-    episodes = found[0]["episodes"]
+    values = {
+        (
+            row["role"],
+            row["difficulty"],
+        ): f"`{row['policy']}` {row['safe success']}, {row['return']}"
+        for row in found
+    }
+    roles = [role for role in ROLES if any(row["role"] == role for row in found)]
     yield "## Measured rates"
     yield (
-        f"Fraction of drones that succeed, with a 95 % confidence interval: {episodes} "
-        f"episodes, dynamics `{dynamics}`. Make the table again with "
-        f"`bulletuav compare {task} --policies {','.join(policies)} "
-        f"--difficulties {','.join(levels)} --dynamics {dynamics} --episodes {episodes}`."
+        "Safe success (fraction of drones that succeed without conflict or collision) and return, "
+        f"with 95 % confidence intervals: dynamics `{found[0]['dynamics']}`. The oracle knows the "
+        "whole state, blind policies observe nothing, and the other policy is the best paid of "
+        f"those that avoid the task. Make the table again with `bulletuav incentives {task} "
+        f"--dynamics {found[0]['dynamics']}`."
     )
-    yield rows_table(["policy", "reads", *levels], lines)
+    yield rows_table(
+        ["difficulty", *(ROLES[role] for role in roles)],
+        [[level, *(values.get((role, level), "") for role in roles)] for level in levels],
+    )
+
+
+def read_incentives(path: Path) -> Iterator[dict[str, str]]:
+    """Read the tables of `bulletuav incentives`: a dict for each row, by the names of columns."""
+    columns: list[str] = []
+    for line in path.read_text(encoding="utf-8").splitlines():
+        if line.startswith("| task |"):
+            columns = _cells(line)
+        elif line.startswith("| "):
+            yield dict(zip(columns, _cells(line), strict=True))
 
 
 def read_leaderboard(path: Path) -> Iterator[dict[str, str]]:

@@ -35,8 +35,8 @@ options = {
     "observation": ("goal_offset", "velocity"),
     "weights": {"distance": -1.0, "speed": -0.5},  # of the reward
 }
-env = make_vec_env("bulletuav/Hover-v1", n_envs=16, seed=0, env_kwargs=options)
-check = make_vec_env("bulletuav/Hover-v1", n_envs=1, seed=1000, env_kwargs=options)
+env = make_vec_env("bulletuav/Hover-v2", n_envs=16, seed=0, env_kwargs=options)
+check = make_vec_env("bulletuav/Hover-v2", n_envs=1, seed=1000, env_kwargs=options)
 model = PPO(
     "MlpPolicy",
     env,

@@ -112,7 +112,8 @@ def test_a_miss_by_hand():
         assert row["near_misses"] == 0
         assert row["min_separation"] == pytest.approx(8.0, abs=1e-6)
         assert row["success"] == 0  # drone 1 flies past its goal, 8 m above it, out of the arena
-        assert row["drone_success"] == 0.5
+        # The other drone reaches its goal, which is no success after a conflict
+        assert row["drone_success"] == row["safe_success"] == (0.0 if conflict else 0.5)
         assert np.isnan(row["min_time_to_conflict"]) == (not conflict)
 
 
@@ -222,6 +223,13 @@ def test_intervals_of_rates_are_wilsons_and_of_means_the_bootstraps():
     )
     assert estimate("length", [*sample]) == estimate("length", [*sample])
     assert estimate("length", [2.0, 2.0])[:3] == (2, 2, 2)
+    # Ten successes are no certainty: Wilson's lower end is n / (n + z^2)
+    for metric in ("safe_success", "drone_success"):
+        sure = estimate(metric, [1.0] * 10)
+        assert sure[:3] == (1.0, pytest.approx(10 / (10 + z**2)), pytest.approx(1.0))
+        never = estimate(metric, [0.0] * 10)
+        assert never[:3] == (0.0, pytest.approx(0.0), pytest.approx(z**2 / (10 + z**2)))
+        assert estimate(metric, [0.5, 0.5])[:3] == (0.5, 0.5, 0.5)
     nothing = estimate("energy", [np.nan])
     assert nothing.episodes == 0
     assert np.isnan(nothing.mean)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import bulletuav
-from bulletuav.analysis.incentives import incentives, list_degenerate_policies
+from bulletuav.analysis.incentives import incentives, list_policies
 
 POINTS = {"dynamics": "single_integrator", "difficulty": "easy"}
 TEAMS = tuple(f"team_{k}_{name}" for name in ("return", "success") for k in (0, 1))
@@ -27,11 +27,11 @@ def test_returns_of_teams_are_means_of_their_drones():
 
 def test_chasers_that_shirk_earn_less_than_the_baseline():
     found = list(incentives("pursuit_evasion", episodes=3, **POINTS))
-    assert [one.degenerate_policy for one in found] == list_degenerate_policies(
-        "pursuit_evasion", "lead vs flee"
-    )
-    assert "straight" not in [one.degenerate_policy for one in found]
-    assert found[0].baseline == "lead vs flee"
+    roles = {one.policy: one.role for one in found[1:]}
+    assert roles == list_policies("pursuit_evasion", "lead vs flee")
+    assert "straight" not in roles
+    assert "oracle" not in roles.values()
+    assert found[0].policy == "lead vs flee"
     assert found[0].success.mean == 1
-    assert all(one.holds for one in found), found
-    assert found[0].degenerate_return.mean < 0 < found[0].baseline_return.mean
+    assert not [one for one in found if one.fault]
+    assert found[1].earned.mean < 0 < found[0].earned.mean

@@ -123,7 +123,7 @@ def test_before_the_first_reset_and_after_close_a_step_is_refused(make):
 def test_torchrls_gymenv_finds_out_that_there_is_no_frameskip():
     """It passes the option, and looks for Python's own words in a TypeError."""
     with pytest.raises(TypeError, match="unexpected keyword argument 'frameskip'"):
-        gymnasium.make("bulletuav/Hover-v1", frameskip=1, disable_env_checker=True)
+        gymnasium.make("bulletuav/Hover-v2", frameskip=1, disable_env_checker=True)
     with pytest.raises(ValueError, match="did you mean 'dynamics'"):
         bulletuav.batch_env("hover", 2, workers=2, dynamic="bullet")
 

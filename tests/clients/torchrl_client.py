@@ -59,7 +59,7 @@ def fly_until_first():
 
 def fly_hover(**options):
     """Steps of a rollout of the Gymnasium environment."""
-    env = GymEnv("bulletuav/Hover-v1", **options)
+    env = GymEnv("bulletuav/Hover-v2", **options)
     env.set_seed(0)
     check_env_specs(env)
     rollout = env.rollout(100)

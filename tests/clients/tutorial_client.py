@@ -1,6 +1,6 @@
 """Tutorials of others, unmodified, with drones where they fly games.
 
-    python tests/clients/tutorial_client.py cleanrl_advanced.py --env-id crossing-v1 --cuda false
+    python tests/clients/tutorial_client.py cleanrl_advanced.py --env-id crossing-v2 --cuda false
 
 PettingZoo's names of the games lead to `crossing` here, so that the tutorials make drones. Those of
 CleanRL look through the drones' cameras; those of tianshou take turns.
@@ -45,7 +45,7 @@ def main():
     """Lead the names of games to drones, and run the script that the first argument names."""
     # PettingZoo tells that its own games are replaced.
     warnings.simplefilter("ignore")
-    pettingzoo.register("parallel", "atari/crossing-v1", partial(cameras, stay=True))
+    pettingzoo.register("parallel", "atari/crossing-v2", partial(cameras, stay=True))
     pettingzoo.register("parallel", "butterfly/pistonball-v6", cameras)
     for game in ("classic/tictactoe-v3", "classic/rps-v2"):
         pettingzoo.register("aec", game, turns)

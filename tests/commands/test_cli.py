@@ -681,11 +681,11 @@ def test_compilation_has_lines_of_its_own_and_no_part_in_the_time(capsys, monkey
         report(500)
     assert capsys.readouterr().err.splitlines() == [
         *(
-            f"compiling: {k} of about 270 functions, {60 * k} s (the first time only)"
+            f"compiling: {k} of about 270 functions, {60 * k} s, kept for later runs"
             for k in range(2, 7)
         ),
         "flying: 1 of 500 decisions (0 %), 0 s",
-        "compiling: 7 of about 270 functions, 460 s (the first time only)",
+        "compiling: 7 of about 270 functions, 460 s, kept for later runs",
         "flying: 500 of 500 decisions (100 %), 4 s",
     ]
     assert compilation.watch is None

@@ -20,7 +20,7 @@ IDS = [environment_id(task) for task in TASKS]
 
 
 def test_ids():
-    assert environment_id("lidar_navigation") == "bulletuav/LidarNavigation-v1"
+    assert environment_id("lidar_navigation") == "bulletuav/LidarNavigation-v2"
     for name in IDS:
         assert name in gymnasium.registry
 
@@ -41,7 +41,7 @@ def test_gymnasium_and_stable_baselines_check_every_id(task, drones):
 
 
 def test_ids_by_module():
-    env = gymnasium.make("bulletuav:bulletuav/Hover-v1")
+    env = gymnasium.make("bulletuav:bulletuav/Hover-v2")
     env.reset(seed=0)
     env.close()
 
@@ -68,7 +68,7 @@ def test_stable_baselines_checks_discrete_actions(task):
 
 
 def test_the_central_environment_commands_all_drones():
-    env = gymnasium.make("bulletuav/Crossing-v1", num_drones=3).unwrapped
+    env = gymnasium.make("bulletuav/Crossing-v2", num_drones=3).unwrapped
     reference = bulletuav.Aviary("crossing", num_drones=3)
     state, _ = env.reset(seed=4)
     reference.reset(seeds=4)
@@ -86,7 +86,7 @@ def test_the_central_environment_commands_all_drones():
 
 
 def test_with_one_drone_it_is_that_drones_own_environment():
-    env = gymnasium.make("bulletuav/Hover-v1", horizon=5).unwrapped
+    env = gymnasium.make("bulletuav/Hover-v2", horizon=5).unwrapped
     own = bulletuav.parallel_env("hover", horizon=5)
     first, _ = env.reset(seed=1)
     observations, _ = own.reset(seed=1)
@@ -103,7 +103,7 @@ def test_with_one_drone_it_is_that_drones_own_environment():
 
 def test_the_episode_is_cut_when_time_ends_it_for_one_and_over_when_all_crashed():
     env = gymnasium.make(
-        "bulletuav/Hover-v1", num_drones=2, action="velocity", horizon=60
+        "bulletuav/Hover-v2", num_drones=2, action="velocity", horizon=60
     ).unwrapped
     for second, expected in ((0.0, (False, True)), (-1.0, (True, False))):
         env.reset(seed=0)
@@ -198,7 +198,7 @@ def test_infos_and_observations_of_a_new_episode_belong_together(mode):
 
 
 def test_make_knows_the_render_modes(recwarn):
-    env = gymnasium.make("bulletuav/Hover-v1", render_mode="rgb_array")
+    env = gymnasium.make("bulletuav/Hover-v2", render_mode="rgb_array")
     env.reset(seed=0)
     assert env.render().shape == (480, 640, 3)
     assert not [warning for warning in recwarn if "render_mode" in str(warning.message)]
@@ -267,8 +267,8 @@ def test_vector_environments(task, drones, mode):
 
 
 def test_vector_and_single_environments_agree():
-    vector = gymnasium.make_vec("bulletuav/Hover-v1", num_envs=2, dynamics="rigid_body")
-    single = gymnasium.make("bulletuav/Hover-v1", dynamics="rigid_body").unwrapped
+    vector = gymnasium.make_vec("bulletuav/Hover-v2", num_envs=2, dynamics="rigid_body")
+    single = gymnasium.make("bulletuav/Hover-v2", dynamics="rigid_body").unwrapped
     batch, _ = vector.reset(seed=0)
     alone, _ = single.reset(seed=1)
     np.testing.assert_array_equal(batch[1], alone)
@@ -294,11 +294,11 @@ def test_discrete_actions_in_every_environment_class():
     batch = bulletuav.batch_env("hover", 3, action="discrete_27", num_drones=2)
     batch.reset(seed=0)
     batch.step(np.zeros((3, 2), dtype=int))
-    central = gymnasium.make("bulletuav/Hover-v1", action="discrete", num_drones=2).unwrapped
+    central = gymnasium.make("bulletuav/Hover-v2", action="discrete", num_drones=2).unwrapped
     central.reset(seed=0)
     assert central.action_space == gymnasium.spaces.MultiDiscrete([7, 7])
     central.step(np.array([1, 2]))
-    vector = gymnasium.make_vec("bulletuav/Hover-v1", num_envs=2, action="discrete")
+    vector = gymnasium.make_vec("bulletuav/Hover-v2", num_envs=2, action="discrete")
     vector.reset(seed=0)
     vector.step(np.array([1, 2]))
     for one in (env, batch, central, vector):
@@ -323,7 +323,7 @@ def test_mixed_swarms_fly_each_by_its_own_constants(dynamics):
     assert (env.aviary.swarm.rotor_speed[0, 0, 4:] == 0).all()
     with pytest.raises(ValueError, match=r"action of drone_1 has shape \(4,\): \(6,\)"):
         env.step({agent: np.zeros(4) for agent in env.agents})
-    central = gymnasium.make("bulletuav/Hover-v1", airframe=fleet, spacing=4.0).unwrapped
+    central = gymnasium.make("bulletuav/Hover-v2", airframe=fleet, spacing=4.0).unwrapped
     assert central.action_space.shape == (14,)
     central.reset(seed=0)
     central.step(np.concatenate([hover[agent] for agent in env.possible_agents]))
@@ -376,14 +376,14 @@ def test_pictures_are_taken_at_their_own_rate():
 
 def test_pictures_go_through_gymnasium():
     env = gymnasium.make(
-        "bulletuav/Hover-v1", observation=("attitude", "rgb"), camera_size=(16, 12)
+        "bulletuav/Hover-v2", observation=("attitude", "rgb"), camera_size=(16, 12)
     )
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         check_env(env.unwrapped, skip_render_check=True)
     env.close()
     vector = gymnasium.make_vec(
-        "bulletuav/Hover-v1", num_envs=2, observation=("attitude", "rgb"), camera_size=(16, 12)
+        "bulletuav/Hover-v2", num_envs=2, observation=("attitude", "rgb"), camera_size=(16, 12)
     )
     first, _ = vector.reset(seed=0)
     assert vector.observation_space.contains(first)

@@ -25,11 +25,11 @@ NOISY = {"gps_noise": 1.0, "wind": (0.0, 1.0), "radio_delay": 0.2}
 
 
 def gymnasium_env(**options):
-    return gymnasium.make("bulletuav/Crossing-v1", **options).unwrapped
+    return gymnasium.make("bulletuav/Crossing-v2", **options).unwrapped
 
 
 def vector_env(**options):
-    return gymnasium.make_vec("bulletuav/Crossing-v1", num_envs=2, **options)
+    return gymnasium.make_vec("bulletuav/Crossing-v2", num_envs=2, **options)
 
 
 def drone_vec_env(**options):

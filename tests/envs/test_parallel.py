@@ -126,5 +126,5 @@ def test_state_and_spaces():
     np.testing.assert_allclose(env.state()[:3], env.aviary.swarm.position[0, 0], rtol=1e-6)
     assert env.observation_space("drone_0") is env.observation_space("drone_0")
     assert env.action_space("drone_1") is env.action_space("drone_1")
-    assert env.metadata["name"] == "bulletuav_crossing_v1"
+    assert env.metadata["name"] == "bulletuav_crossing_v2"
     env.close()

@@ -11,7 +11,7 @@ OPTIONS = {"dynamics": "point_mass", "horizon": 3}
 SINGLE = {
     "parallel": lambda: bulletuav.parallel_env("crossing", **OPTIONS),
     "aec": lambda: bulletuav.aec_env("crossing", **OPTIONS),
-    "central": lambda: gymnasium.make("bulletuav/Crossing-v1", **OPTIONS),
+    "central": lambda: gymnasium.make("bulletuav/Crossing-v2", **OPTIONS),
     "curriculum": lambda: bulletuav.curriculum_env("crossing", ({}, {}), **OPTIONS),
     "team": lambda: bulletuav.team_env("pursuit_evasion", "chasers", "stay", **OPTIONS),
     "central team": lambda: bulletuav.team_env(
@@ -22,7 +22,7 @@ SINGLE = {
 SEVERAL = {
     "batch": lambda: bulletuav.batch_env("crossing", 2, **OPTIONS),
     "workers": lambda: bulletuav.batch_env("crossing", 2, workers=2, **OPTIONS),
-    "vector": lambda: gymnasium.make_vec("bulletuav/Crossing-v1", num_envs=2, **OPTIONS),
+    "vector": lambda: gymnasium.make_vec("bulletuav/Crossing-v2", num_envs=2, **OPTIONS),
 }
 WITHOUT_EFFECT = {
     "num_drones": "num_drones is fixed when the environment is created",
@@ -84,7 +84,7 @@ def test_a_single_world_takes_no_mask_and_several_do():
 
 def test_gymnasiums_own_vectors_reset_single_worlds_by_a_mask():
     mode = gymnasium.vector.AutoresetMode.DISABLED
-    made = [lambda: gymnasium.make("bulletuav/Crossing-v1", **OPTIONS)] * 2
+    made = [lambda: gymnasium.make("bulletuav/Crossing-v2", **OPTIONS)] * 2
     envs = gymnasium.vector.SyncVectorEnv(made, autoreset_mode=mode)
     envs.reset(seed=0)
     envs.reset(options={"reset_mask": np.array([True, False])})
@@ -134,7 +134,7 @@ NO_ATTRIBUTES = {
 def test_stable_baselines3_sets_no_attribute_without_effect():
     from stable_baselines3.common.vec_env import DummyVecEnv
 
-    env = DummyVecEnv([lambda: gymnasium.make("bulletuav/Crossing-v1", **OPTIONS).unwrapped])
+    env = DummyVecEnv([lambda: gymnasium.make("bulletuav/Crossing-v2", **OPTIONS).unwrapped])
     for name, said in NO_ATTRIBUTES.items():
         with pytest.raises(AttributeError, match=f"setting .*{said}"):
             env.set_attr(name, 3)

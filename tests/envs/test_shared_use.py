@@ -21,8 +21,8 @@ MAKERS = {
     "aec": lambda: bulletuav.aec_env("crossing", **OPTIONS),
     "batch": lambda: bulletuav.batch_env("crossing", 2, **OPTIONS),
     "workers": lambda: bulletuav.batch_env("crossing", 2, workers=2, **OPTIONS),
-    "central": lambda: gymnasium.make("bulletuav/Crossing-v1", **OPTIONS).unwrapped,
-    "vector": lambda: gymnasium.make_vec("bulletuav/Crossing-v1", num_envs=2, **OPTIONS),
+    "central": lambda: gymnasium.make("bulletuav/Crossing-v2", **OPTIONS).unwrapped,
+    "vector": lambda: gymnasium.make_vec("bulletuav/Crossing-v2", num_envs=2, **OPTIONS),
     "curriculum": lambda: bulletuav.curriculum_env("crossing", ({}, {}), **OPTIONS),
     "team": lambda: bulletuav.team_env("pursuit_evasion", "chasers", "stay", **OPTIONS),
     "central team": lambda: bulletuav.team_env(

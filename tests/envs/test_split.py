@@ -52,12 +52,12 @@ def make_workers(**options):
 
 
 def make_central(**options):
-    env = gymnasium.make("bulletuav/Crossing-v1", **options).unwrapped
+    env = gymnasium.make("bulletuav/Crossing-v2", **options).unwrapped
     return env, env.reset(seed=0)[0], env.observation_space
 
 
 def make_vector(**options):
-    env = gymnasium.make_vec("bulletuav/Crossing-v1", num_envs=WORLDS, **options)
+    env = gymnasium.make_vec("bulletuav/Crossing-v2", num_envs=WORLDS, **options)
     return env, env.reset(seed=0)[0], env.single_observation_space
 
 
@@ -177,7 +177,7 @@ def test_pettingzoo_takes_dicts(task):
 
 @pytest.mark.parametrize("drones", [1, 3])
 def test_gymnasium_takes_dicts(drones):
-    env = gymnasium.make("bulletuav/Crossing-v1", num_drones=drones, observation_format="dict")
+    env = gymnasium.make("bulletuav/Crossing-v2", num_drones=drones, observation_format="dict")
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message=".*not within the observation space.*|.*casts.*")
         check_env(env.unwrapped, skip_render_check=True)

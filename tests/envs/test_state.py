@@ -83,7 +83,7 @@ def test_a_state_of_another_size_is_refused(mec):
 
 @pytest.mark.parametrize("form", ["vector", "dict"])
 def test_one_agent_for_all_drones_observes_the_state(form):
-    env = gymnasium.make("bulletuav/Los-v1", num_users=4, observation_format=form, **SMALL)
+    env = gymnasium.make("bulletuav/Los-v2", num_users=4, observation_format=form, **SMALL)
     seen, _ = env.reset(seed=0)
     assert env.observation_space.contains(seen)
     by_name = env.unwrapped.split(seen)

@@ -72,3 +72,18 @@ def test_a_file_that_names_a_module_is_refused_and_nothing_is_imported(tmp_path,
     path.write_text("version: 1\ntask: 'evil_module:Task'\n")
     with pytest.raises(SystemExit):
         RunConfig.read(path, trust=True)
+
+
+def test_a_file_may_name_the_task_that_the_user_named(tmp_path, monkeypatch):
+    source = "from bulletuav.tasks.hover import Hover\n\n\nclass Mine(Hover):\n    name = 'mine'\n"
+    (tmp_path / "my_hover_task.py").write_text(source)
+    monkeypatch.syspath_prepend(tmp_path)
+    path = tmp_path / "run.yaml"
+    path.write_text("version: 1\ntask: 'my_hover_task:Mine'\n")
+    assert RunConfig.read(path, known=("my_hover_task:Mine",)).task == "my_hover_task:Mine"
+    # Nothing else in the file becomes trusted
+    path.write_text("version: 1\ntask: 'my_hover_task:Mine'\noptions: {dynamics: 'evil:Fast'}\n")
+    with pytest.raises(ValueError, match="'evil:Fast'.*--trust"):
+        find_policy(tmp_path, "my_hover_task:Mine")
+    with pytest.raises(ValueError, match="'my_hover_task:Mine'.*--trust"):
+        find_policy(tmp_path, "hover")

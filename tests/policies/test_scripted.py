@@ -59,3 +59,15 @@ def test_clump_hovers_over_one_place():
     for position in aviary.swarm.position:
         spread = np.ptp(position[:, :2], axis=0)
         assert spread.max() < 15.0
+
+
+def test_spread_flies_to_the_centres_of_equal_parts_of_the_arena():
+    aviary, _ = flown("spread", "converge", decisions=300, num_drones=5, horizon=400)
+    task = aviary.task
+    size = task.arena_high[:2] - task.arena_low[:2]
+    shares = [(1 / 6, 0.25), (0.5, 0.25), (5 / 6, 0.25), (0.25, 0.75), (0.75, 0.75)]
+    places = task.arena_low[:2] + np.array(shares) * size
+    for position in aviary.swarm.position[:, :, :2]:
+        far = np.linalg.norm(position[:, None] - places, axis=-1)
+        assert sorted(far.argmin(axis=1)) == [0, 1, 2, 3, 4]
+        assert far.min(axis=1).max() < 1.0

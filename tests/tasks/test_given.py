@@ -44,7 +44,7 @@ def test_a_reset_gives_places_for_its_episodes_alone():
 
 def test_every_class_of_environment_takes_them():
     options = {"start": START}
-    central = gymnasium.make("bulletuav/FreeFlight-v1", num_drones=4, **POINTS)
+    central = gymnasium.make("bulletuav/FreeFlight-v2", num_drones=4, **POINTS)
     central.reset(seed=0, options=options)
     np.testing.assert_array_equal(central.unwrapped.aviary.swarm.position[0], START)
     batch = bulletuav.batch_env("free_flight", 3, num_drones=4, **POINTS)

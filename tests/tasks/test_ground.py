@@ -188,13 +188,13 @@ def test_what_cannot_stand_or_land_is_refused():
 
 
 def test_names_carry_the_version():
-    env = bulletuav.parallel_env("hover_v1")
-    assert env.metadata["name"] == "bulletuav_hover_v1"
-    assert bulletuav.parallel_env("hover-v1").metadata == env.metadata
-    with pytest.raises(ValueError, match="this is version 1 of 'hover'.*'hover-v1'"):
-        bulletuav.parallel_env("hover_v0")
+    env = bulletuav.parallel_env("hover_v2")
+    assert env.metadata["name"] == "bulletuav_hover_v2"
+    assert bulletuav.parallel_env("hover-v2").metadata == env.metadata
+    with pytest.raises(ValueError, match="this is version 2 of 'hover'.*'hover-v2'"):
+        bulletuav.parallel_env("hover_v1")
     with (
         pytest.warns(DeprecationWarning, match="out of date"),
-        pytest.raises(gymnasium.error.DeprecatedEnv, match="use `bulletuav/Hover-v1` instead"),
+        pytest.raises(gymnasium.error.DeprecatedEnv, match="use `bulletuav/Hover-v2` instead"),
     ):
-        gymnasium.make("bulletuav/Hover-v0")
+        gymnasium.make("bulletuav/Hover-v1")

@@ -65,7 +65,7 @@ def test_a_class_is_a_task_without_being_installed():
 
     env = bulletuav.parallel_env(Low, height=1.0)
     env.reset(seed=0)
-    assert env.metadata["name"] == "bulletuav_low_v1"
+    assert env.metadata["name"] == "bulletuav_low_v2"
     env.close()
     result = bulletuav.evaluate(Low, "random", 2, action="velocity", horizon=5)
     assert result.about["task"] == "low"

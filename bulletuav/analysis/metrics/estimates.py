@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bulletuav.analysis.metrics.standard import RATES
+from bulletuav.analysis.metrics.standard import RATES, SHARES
 
 RESAMPLES = 2000
 """Number of bootstrap resamples"""
@@ -31,8 +31,9 @@ def estimate(metric: str, values: Sequence[float]) -> Estimate:
     """Estimate the mean of a metric over episodes.
 
     Args:
-        metric: Name of the metric. Rates (`RATES`) get Wilson's interval, other metrics that of
-            `mean_estimate`.
+        metric: Name of the metric. Rates (`RATES`) get Wilson's interval, and so do fractions of
+            drones (`SHARES`) that are all 0 or all 1, for which the bootstrap would claim
+            certainty. Other metrics get the interval of `mean_estimate`.
         values: Value of each episode; NaN, for metrics other than rates, if an episode has none.
 
     Returns:
@@ -41,9 +42,10 @@ def estimate(metric: str, values: Sequence[float]) -> Estimate:
     # Imported here, as SciPy's statistics take longer to import than all other modules.
     from scipy import stats
 
-    if metric not in RATES:
-        return mean_estimate(values)
     sample = np.array(values)
+    is_extreme = metric in SHARES and (np.all(sample == 0) or np.all(sample == 1))
+    if metric not in RATES and not is_extreme:
+        return mean_estimate(values)
     happened = int(sample.sum())
     low, high = stats.binomtest(happened, len(sample)).proportion_ci(method="wilson")
     return Estimate(

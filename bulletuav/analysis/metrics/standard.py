@@ -6,6 +6,8 @@ from bulletuav.registry import register
 
 RATES = ("collision", "conflict", "success")
 """Metrics that are 0 or 1 in an episode, so that their means are fractions of the episodes"""
+SHARES = ("safe_success", "drone_success")
+"""Metrics that are fractions of the drones in an episode"""
 METRICS = {
     "safe_success": (
         "fraction of drones that succeeded, without conflict or collision in the episode"

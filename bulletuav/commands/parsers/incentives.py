@@ -6,17 +6,21 @@ from pathlib import Path
 from bulletuav.commands.parsers.shared import add_episodes, add_options
 
 ABOUT = {
-    "help": "check rewards: compare returns of baselines and of policies that shirk",
+    "help": "check tasks: compare baselines with oracles, blind policies and such that shirk",
     "description": (
-        "Check the reward functions of tasks. Fly each task with its baseline and with policies "
-        "that shirk (avoid the task): stay, climb, dive, leave, crash, circle the goal, clump, fly "
-        "straight. The return of the baseline must exceed that of each by more than a tenth of its "
-        "lead over staying (lower end of the 95 % interval). Print the shirker with the "
-        "smallest gap to the baseline in each task, and write the whole table."
+        "Check whether tasks can be done and whether their rewards can be gamed. Fly each task "
+        "with its baseline; with its oracle, whose safe success must be 0.9 or more; with blind "
+        "policies, which observe nothing and must stay at 0.1 or less; and with policies that "
+        "shirk (avoid the task), generic ones and the task's own. The return of the baseline must "
+        "exceed theirs by more than a tenth of its lead over staying (lower end of the 95 % "
+        "interval). Policies of --others, such as trained runs, must not earn more than the "
+        "baseline at less success. Print for each role the policy nearest to a fault, and all "
+        "faults; write both tables."
     ),
     "epilog": """examples:
   bulletuav incentives crossing --episodes 20 --out incentives
-  bulletuav incentives crossing mec --difficulties easy,hard --dynamics single_integrator""",
+  bulletuav incentives crossing mec --difficulties easy,hard --dynamics single_integrator
+  bulletuav incentives crossing --others trained,mvp --difficulties medium""",
 }
 
 
@@ -26,6 +30,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--policy", help="baseline policy (default: that of the task)")
     parser.add_argument(
         "--difficulties", metavar="A,B", help="easy, medium, hard, extreme (default: all)"
+    )
+    parser.add_argument(
+        "--others",
+        metavar="A,B",
+        help="further policies; they should not earn more for less success",
     )
     add_episodes(parser)
     parser.add_argument(
