@@ -124,18 +124,17 @@ def base_config(arguments: argparse.Namespace, task: str | None) -> RunConfig:
         file = arguments.config / CONFIG if is_folder else arguments.config
         return RunConfig.read(file, arguments.trust)
     assert task is not None
-    return default_run(task)
+    run = default_run(task)
+    # The dynamics of the defaults may not support the given action
+    is_kept = "action" not in given_options(arguments)
+    options = {name: one for name, one in run.options.items() if is_kept or name != "dynamics"}
+    return dataclasses.replace(run, options=options)
 
 
 def _stages_without(base: RunConfig, given: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Remove given options, which take precedence, from the stages; merge equal stages.
-
-    With a given action, also the dynamics, which may not support it.
-    """
-    removed = {*given, "dynamics"} if "action" in given else set(given)
+    """Remove given options, which take precedence, from the stages; merge equal stages."""
     stages = [
-        {name: value for name, value in stage.items() if name not in removed}
-        for stage in base.stages
+        {name: value for name, value in stage.items() if name not in given} for stage in base.stages
     ]
     return stages if any(stage != stages[0] for stage in stages) else stages[:1]
 

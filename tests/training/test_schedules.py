@@ -28,7 +28,7 @@ def test_default_settings_use_the_weights_for_training_and_are_evaluated_by_the_
     weights = EnvSpec(task, 1, run.evaluated).task.weights
     assert weights == EnvSpec(task, 1, {}).task.weights
     if task in FLIGHTS or task not in shipped_tasks():
-        trained = EnvSpec(task, 1, {**run.options, **run.stages[0]}).task.weights
+        trained = EnvSpec(task, 1, dict(run.options)).task.weights
         assert trained == {**weights, **find_task(task).training_weights}
 
 
@@ -38,8 +38,7 @@ def test_goal_flights_observe_offsets_of_goals_and_no_position(task):
     assert "goal_offset" in run.options["observation"]
     assert not {"position", "goal", "neighbours"} & set(run.options["observation"])
     assert run.worlds == GOAL_FLIGHT["worlds"]
-    for stage in run.stages:
-        EnvSpec(task, 1, {**run.options, **stage})
+    EnvSpec(task, 1, dict(run.options))
 
 
 def test_other_tasks_with_a_policy_in_the_package_keep_its_settings():
@@ -70,14 +69,9 @@ def test_swarm_features_of_on_policy_algorithms_begin_small(algo, is_small):
 
 @pytest.mark.slow
 def test_crossing_is_learned_within_the_default_budget(tmp_path):
-    """Two million decisions, a few minutes of one core."""
+    """A few minutes of one core."""
     run = default_run("crossing")
-    changes = {
-        "options": {**run.options, "dynamics": "point_mass"},
-        "stages": [{}],
-        "evaluations": 2,
-        "evaluation": {"dynamics": "point_mass"},
-    }
+    changes = {"evaluations": 2, "evaluation": {"dynamics": "point_mass"}}
     rows = train(RunConfig(**{**vars(run), **changes}), tmp_path)
     assert rows[0]["safe_success"] == 0
     assert rows[-1]["safe_success"] >= 0.9
