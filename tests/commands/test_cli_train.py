@@ -216,7 +216,6 @@ def test_what_is_given_goes_before_the_settings_of_the_package():
     usual = configured("crossing")
     assert usual.options["dynamics"] == "point_mass"
     assert "dynamics" not in configured("crossing", "--action", "rates").options
-    assert "dynamics" not in usual.evaluated
     one = configured("crossing", "--dynamics", "double_integrator", "--model", "gamma=0.9")
     assert one.options["dynamics"] == "double_integrator"
     assert list(one.stages) == [{}]
