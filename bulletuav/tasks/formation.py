@@ -106,10 +106,11 @@ class Formation(GoalFlight[FormationConfig]):
         **TRAINING_WEIGHTS,
         "goal": 0.0,
         "holding": 0.1,
-        "conflict": -1.0,
-        "warning": -0.02,
-        "collision": -2.0,
-        "out_of_bounds": -2.0,
+        # With the weight of the other flights, drones do not come together within a million decisions
+        "conflict": -2.0,
+        "warning": -0.03,
+        "collision": -4.0,
+        "out_of_bounds": -4.0,
     }
     shows: ClassVar = {
         "success": "in place",
