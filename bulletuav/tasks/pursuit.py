@@ -10,7 +10,7 @@ from bulletuav.compiled.functions import cos, sin
 from bulletuav.compiled.kernel import kernel
 from bulletuav.registry import register
 from bulletuav.tasks.frame import Frame, Scene, Spawn, TaskContext
-from bulletuav.tasks.goal_flight import REWARD_WEIGHTS, FlightConfig, GoalFlight
+from bulletuav.tasks.goal_flight import REWARD_WEIGHTS, TRAINING_WEIGHTS, FlightConfig, GoalFlight
 from bulletuav.tasks.ingredients import end, reward
 from bulletuav.tasks.parts.airspace import (
     AirspaceOptions,
@@ -149,6 +149,12 @@ class Pursuit(GoalFlight[PursuitConfig]):
         "pursuit_climb",
         "pursuit_backwards",
     )
+    training_weights: ClassVar[Mapping[str, float]] = {
+        **TRAINING_WEIGHTS,
+        "progress": 0.0,
+        "lap": 10.0,
+        "goal": 10.0,
+    }
     presets: ClassVar = {
         "uavconflict": {**UAVCONFLICT, "weights": {**UAVCONFLICT["weights"], "lap": 0.0}}
     }
