@@ -142,6 +142,7 @@ class PursuitEvasion(Task[PursuitEvasionConfig]):
 
     name = "pursuit_evasion"
     is_game = True
+    shirkers: ClassVar[tuple[str, ...]] = ("chase_shadow", "chase_free_ride", "chase_once")
     team_names = ("chasers", "evaders")
     defaults: ClassVar = {
         "num_drones": 4,
