@@ -124,6 +124,7 @@ class Pursuit(GoalFlight[PursuitConfig]):
         track_length: Length of all laps, m.
     """
 
+    version = 2
     name = "pursuit"
     places: ClassVar[tuple[str, ...]] = ("start",)
     observation = ("position", "velocity", "goal", "goal_velocity", "neighbours", "obstacles")
