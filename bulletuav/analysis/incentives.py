@@ -94,8 +94,8 @@ class Incentive(NamedTuple):
         return ""
 
 
-def list_policies(task: TaskSource, baseline: PolicySource) -> dict[str, Role]:
-    """List the policies that a task's baseline is compared with, and their roles."""
+def assign_roles(task: TaskSource, baseline: PolicySource) -> dict[str, Role]:
+    """Return the roles of the policies that a task's baseline is compared with, by name."""
     kind = find_task(task)
     first, *opponents = _split_teams(baseline)
     left_out = {first, kind.oracle, *(("clump",) if kind.has_goals else ())}
@@ -140,7 +140,7 @@ def incentives(
         **options: Options of `parallel_env`, such as `difficulty`.
 
     Yields:
-        The baseline, then each policy of `list_policies`, then the others.
+        The baseline, then each policy of `assign_roles`, then the others.
 
     Raises:
         ValueError: If an argument is invalid.
@@ -159,7 +159,7 @@ def incentives(
 
     base = fly(chosen)
     flown = {first: base} if isinstance(first, str) else {}
-    roles = {**list_policies(task, chosen), **dict.fromkeys(others, "other")}
+    roles = {**assign_roles(task, chosen), **dict.fromkeys(others, "other")}
     # The return of staying in place is the reference of the lead
     for name in (HOVERING_POLICY, *roles):
         if name not in flown:

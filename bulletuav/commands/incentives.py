@@ -3,7 +3,7 @@
 import argparse
 from collections.abc import Iterable
 
-from bulletuav.analysis.incentives import Incentive, find_reversals, incentives, list_policies
+from bulletuav.analysis.incentives import Incentive, assign_roles, find_reversals, incentives
 from bulletuav.commands.arguments import (
     given_options,
     make_out_folder,
@@ -39,7 +39,7 @@ def run(arguments: argparse.Namespace) -> None:
     ]
     flights = sum(
         1
-        + len(list_policies(task, arguments.policy or find_task(task).baseline))
+        + len(assign_roles(task, arguments.policy or find_task(task).baseline))
         - (not find_task(task).oracle and not find_task(task).is_game)
         + len(others)
         for task, _ in cases

@@ -65,6 +65,7 @@ class Converge(GoalFlight[ConvergeConfig]):
     """
 
     name = "converge"
+    version = 2
     shirkers = (*SHIRKERS, "pass_closely")
     difficulties: ClassVar = {
         "easy": AIRSPACE_DIFFICULTIES["easy"],

@@ -75,6 +75,7 @@ class Crossing(GoalFlight[CrossingConfig]):
     """
 
     name = "crossing"
+    version = 2
     shirkers = (*SHIRKERS, "pass_closely")
     team_names = ("north", "east")
     # At -200, drones in conflict earn nine tenths of the pay of safe ones

@@ -84,6 +84,7 @@ class Formation(GoalFlight[FormationConfig]):
     """
 
     name = "formation"
+    version = 2
     baseline = "formation_pilot"
     shirkers: ClassVar = (
         "formation_unchanged",

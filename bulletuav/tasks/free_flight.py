@@ -72,6 +72,7 @@ class FreeFlight(GoalFlight[FreeFlightConfig]):
     """
 
     name = "free_flight"
+    version = 2
     shirkers = (*SHIRKERS, "pass_closely")
     difficulties: ClassVar = {
         "easy": {**AIRSPACE_DIFFICULTIES["easy"], "area": 50.0, **DENSE},

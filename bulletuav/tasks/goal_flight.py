@@ -187,7 +187,6 @@ class GoalFlight(Task[FlightConfigT], Generic[FlightConfigT]):
         respawns: Whether drones that reach their goals get new ones.
     """
 
-    version = 2
     defaults: ClassVar = {
         "num_drones": 8,
         "airframe": "hummingbird",

@@ -76,6 +76,7 @@ class LidarNavigation(GoalFlight[LidarNavigationConfig]):
     """
 
     name = "lidar_navigation"
+    version = 2
     shirkers = SHIRKERS
     presets: ClassVar = {"urbanmarl": URBANMARL_LIDAR_NAVIGATION}
     difficulties: ClassVar = {

@@ -57,6 +57,7 @@ class Navigation(GoalFlight[NavigationConfig]):
     """
 
     name = "navigation"
+    version = 2
     shirkers = SHIRKERS
     presets: ClassVar = {"urbanmarl": URBANMARL_NAVIGATION}
     defaults: ClassVar = {**URBAN_DEFAULTS, "horizon": 600, "difficulty": "easy"}

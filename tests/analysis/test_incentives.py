@@ -11,9 +11,9 @@ from bulletuav.analysis.incentives import (
     BLIND_POLICIES,
     DEGENERATE_POLICIES,
     Incentive,
+    assign_roles,
     find_reversals,
     incentives,
-    list_policies,
 )
 from bulletuav.analysis.metrics import Estimate
 from bulletuav.commands.incentives import select_worst
@@ -51,7 +51,7 @@ def make_incentive(role="shirker", success=0.0, gap=50.0, success_gap=0.9, **cha
 def test_the_easy_difficulty_can_be_done_and_not_be_gamed(task):
     found = list(incentives(task, episodes=3, difficulty="easy", **POINTS))
     roles = {one.policy: one.role for one in found[1:]}
-    assert roles == list_policies(task, find_task(task).baseline)
+    assert roles == assign_roles(task, find_task(task).baseline)
     assert found[0].role == "baseline"
     assert not [one for one in found if one.fault]
 
@@ -128,9 +128,9 @@ def test_an_early_end_saves_no_time():
 
 
 def test_roles_of_policies():
-    assert list_policies("los", "oracle")["clump"] == "shirker"
-    assert "clump" not in list_policies("hover", "straight")
-    roles = list_policies("hover", "straight")
+    assert assign_roles("los", "oracle")["clump"] == "shirker"
+    assert "clump" not in assign_roles("hover", "straight")
+    roles = assign_roles("hover", "straight")
     oracle = find_task("hover").oracle or "straight"
     assert roles[oracle] == "oracle"
     assert [name for name, role in roles.items() if role == "blind"] == [*BLIND_POLICIES]
@@ -157,7 +157,7 @@ def test_the_command_writes_the_table(tmp_path, capsys):
     arguments += ["--others", "random"]
     cli.main(["incentives", *arguments, "--dynamics", "single_integrator"])
     rows = (tmp_path / "all.md").read_text().splitlines()[4:]
-    assert len(rows) == 2 + len(list_policies("hover", "straight"))
+    assert len(rows) == 2 + len(assign_roles("hover", "straight"))
     worst = (tmp_path / "incentives.md").read_text().splitlines()[4:]
     assert [row.split("|")[4].strip() for row in worst] == [
         *("baseline", "oracle", "blind", "shirker", "other")

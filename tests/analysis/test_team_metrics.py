@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import bulletuav
-from bulletuav.analysis.incentives import incentives, list_policies
+from bulletuav.analysis.incentives import assign_roles, incentives
 
 POINTS = {"dynamics": "single_integrator", "difficulty": "easy"}
 TEAMS = tuple(f"team_{k}_{name}" for name in ("return", "success") for k in (0, 1))
@@ -28,7 +28,7 @@ def test_returns_of_teams_are_means_of_their_drones():
 def test_chasers_that_shirk_earn_less_than_the_baseline():
     found = list(incentives("pursuit_evasion", episodes=3, **POINTS))
     roles = {one.policy: one.role for one in found[1:]}
-    assert roles == list_policies("pursuit_evasion", "lead vs flee")
+    assert roles == assign_roles("pursuit_evasion", "lead vs flee")
     assert "straight" not in roles
     assert "oracle" not in roles.values()
     assert found[0].policy == "lead vs flee"
