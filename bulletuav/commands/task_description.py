@@ -136,14 +136,18 @@ def reward_table(task: type[Task[Any]]) -> Table:
         task: Class of the task.
 
     Returns:
-        A table with name, weight and description of each term.
+        A table with name, weight and description of each term. If the task has weights for training
+        (`reward="training"`), they are a column after the weights.
     """
-    table = _table("reward of a decision: weighted sum of these terms")
+    title = "reward of a decision: weighted sum of these terms"
+    training = task.training_weights
+    table = _table(f"{title} (second number: weights for training)" if training else title)
     for name, value in task.reward.items():
         term, weight = value if isinstance(value, tuple) else (name, value)
         computed = name in task.computed_terms
         function = task.compute_terms if computed else find_term("reward", term)
-        table.add_row(name, f"{weight:g}", summary_of(function))
+        weights = [weight, training.get(name, weight)] if training else [weight]
+        table.add_row(name, *(f"{one:g}" for one in weights), summary_of(function))
     return table
 
 

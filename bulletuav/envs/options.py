@@ -78,7 +78,9 @@ class EnvOptions:
             concatenated; None for the task's default.
         observation_format: "vector", or "dict" with an entry for each block.
         sensors: Additional sensors, or replacements of built-in ones: objects or names.
-        reward: Additional reward terms: (term, weight) by name.
+        reward: "benchmark" for the weights by which the task is evaluated (the default), or
+            "training" for the task's weights for learning, its `training_weights`; or a dict of
+            additional reward terms: (term, weight) by name. `weights` overrides single weights.
         num_neighbours: Number of nearest drones, and of nearest obstacles, that are observed.
         normalise: Whether observations are scaled from their bounds to [-1, 1].
         difficulty: "easy", "medium", "hard" or "extreme": sets other options, which can still be
@@ -213,8 +215,9 @@ class EnvOptions:
     def _check_reward(self) -> None:
         if not isinstance(self.reward, Mapping):
             raise ValueError(
-                f"reward is {shown(self.reward)}: a dict from names to (term, weight) is needed; "
-                f"weights of the task's own terms are changed by `weights`"
+                f"reward is {shown(self.reward)}: 'benchmark', 'training', or a dict from names to "
+                f"(term, weight) is needed; weights of the task's own terms are changed by "
+                f"`weights`"
             )
         for name, value in self.reward.items():
             if not isinstance(name, str) or not isinstance(value, list | tuple) or len(value) != 2:

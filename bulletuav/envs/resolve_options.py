@@ -134,10 +134,21 @@ def _with_defaults(
     for name in usual:
         find_choice(f"option among the defaults of task {task.name!r}:", name, dict.fromkeys(known))
     values = {**usual, **given, "difficulty": difficulty}
-    # Given weights override those of the preset one by one
-    if isinstance(given.get("weights"), Mapping):
-        values["weights"] = {**preset.get("weights", {}), **given["weights"]}
+    # Weights for training override those of the preset one by one, and given weights both
+    weights = {**preset.get("weights", {}), **_named_weights(task, values)}
+    if isinstance(given.get("weights", {}), Mapping):
+        values["weights"] = {**weights, **given.get("weights", {})}
     return values
+
+
+def _named_weights(task: type[Task[Any]], values: dict[str, Any]) -> dict[str, float]:
+    """Replace the name of a reward in the options by no additional terms; return its weights."""
+    if not isinstance(values.get("reward"), str):
+        return {}
+    # A task that replaces the reward terms of its base class inherits the weights of the others
+    training = {name: one for name, one in task.training_weights.items() if name in task.reward}
+    choices: dict[str, dict[str, float]] = {"benchmark": {}, "training": training}
+    return find_choice("reward", values.pop("reward"), choices)
 
 
 def make_tuples(values: dict[str, Any]) -> None:

@@ -6,7 +6,7 @@ import re
 from collections.abc import Mapping
 from typing import Any
 
-from bulletuav.errors import shown
+from bulletuav.errors import finite, shown, unknown
 from bulletuav.registry import find, names, require_declared
 from bulletuav.tasks.base import Task
 from bulletuav.tasks.config import TaskConfig
@@ -97,7 +97,7 @@ def require_task(kind: type[Task[Any]]) -> None:
                 f"Config of task {name} has no field {field}: derive it from "
                 f"bulletuav.tasks.config.TaskConfig, as a frozen dataclass"
             )
-    for one in ("defaults", "difficulties", "presets", "reward", "shows"):
+    for one in ("defaults", "difficulties", "presets", "reward", "training_weights", "shows"):
         if not isinstance(getattr(kind, one), Mapping):
             raise ValueError(
                 f"{one} of task {name} is {shown(getattr(kind, one))}: a dict is needed"
@@ -130,3 +130,8 @@ def _check_reward(kind: type[Task[Any]]) -> None:
                 f"reward of task {kind.__name__} has {term!r}: {shown(value)}; a weight, or "
                 f"(term, weight), is needed"
             )
+    for term, weight in vars(kind).get("training_weights", {}).items():
+        where = f"training_weights of task {kind.__name__}"
+        if term not in kind.reward:
+            raise ValueError(f"{where}: {unknown('reward term', term, kind.reward)}")
+        finite(f"{where}: weight of {term!r}", weight)

@@ -94,6 +94,8 @@ class Task(ABC, Generic[ConfigT]):
         ends: Conditions that terminate a drone's episode.
         success: Condition under which a drone counts as successful, if it was safe (`safety`).
         events: Names of the arrays that `terminated` writes to `Frame.derived` for reward terms.
+        training_weights: Weights for training that differ from those in `reward`, by term; see
+            `bulletuav.envs.options.EnvOptions.reward`.
         computed_terms: Names of the terms that `compute_terms` computes from the other terms.
         has_goals: Whether drones have goals, as `goal_distance` reports. If False, `Scene.goal` is
             unused.
@@ -132,6 +134,7 @@ class Task(ABC, Generic[ConfigT]):
     observation: ClassVar[tuple[Any, ...]]
     required_sensors: ClassVar[tuple[str, ...]] = ()
     reward: ClassVar[Mapping[str, Weighted]]
+    training_weights: ClassVar[Mapping[str, float]] = MappingProxyType({})
     ends: ClassVar[tuple[Term, ...]] = ()
     success: ClassVar[Term | None] = None
     events: ClassVar[tuple[str, ...]] = ()

@@ -11,7 +11,7 @@ from bulletuav.registry import register
 from bulletuav.sensors.base import Label, vector_labels
 from bulletuav.tasks.frame import Frame, Scene, Spawn, TaskContext
 from bulletuav.tasks.given import GivenPositions
-from bulletuav.tasks.goal_flight import REWARD_WEIGHTS, GoalFlight
+from bulletuav.tasks.goal_flight import REWARD_WEIGHTS, TRAINING_WEIGHTS, GoalFlight
 from bulletuav.tasks.ingredients import block, reward
 from bulletuav.tasks.observations.base import Block
 from bulletuav.tasks.parts.airspace import circle_arena, clearance, min_start_distance
@@ -101,6 +101,16 @@ class Formation(GoalFlight[FormationConfig]):
         "goal": 0.0,
         "warning": -1.0,
         "holding": 1.0,
+    }
+    training_weights: ClassVar[Mapping[str, float]] = {
+        **TRAINING_WEIGHTS,
+        "goal": 0.0,
+        "holding": 0.1,
+        # With the -6 of other flights, drones do not come together within a million decisions
+        "conflict": -2.0,
+        "warning": -0.03,
+        "collision": -4.0,
+        "out_of_bounds": -4.0,
     }
     shows: ClassVar = {
         "success": "in place",

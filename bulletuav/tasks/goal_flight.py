@@ -42,6 +42,17 @@ REWARD_WEIGHTS = {
     "concession": 0.0,
 }
 """Weights of the reward terms of all flights to goals"""
+TRAINING_WEIGHTS = {
+    "progress": 0.05,
+    "goal": 2.0,
+    "conflict": -6.0,
+    "warning": -0.1,
+    "collision": -5.0,
+    "out_of_bounds": -5.0,
+    "energy": -0.0005,
+    "time": -0.02,
+}
+"""Weights for training in all flights to goals: returns of the order of 1, which networks fit"""
 
 
 @dataclass(frozen=True)
@@ -194,6 +205,7 @@ class GoalFlight(Task[FlightConfigT], Generic[FlightConfigT]):
         "obstacles",
     )
     reward: ClassVar[Mapping[str, Weighted]] = REWARD_WEIGHTS
+    training_weights: ClassVar[Mapping[str, float]] = TRAINING_WEIGHTS
     places: ClassVar[tuple[str, ...]] = PLACES
     events = ("finished", "reached", "terminated", "ended")
     computed_terms = ("fairness",)

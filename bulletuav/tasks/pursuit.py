@@ -9,7 +9,7 @@ import numpy as np
 from bulletuav.compiled.functions import atan2, cos, sin
 from bulletuav.registry import register
 from bulletuav.tasks.frame import Frame, Scene, Spawn, TaskContext
-from bulletuav.tasks.goal_flight import REWARD_WEIGHTS, FlightConfig, GoalFlight
+from bulletuav.tasks.goal_flight import REWARD_WEIGHTS, TRAINING_WEIGHTS, FlightConfig, GoalFlight
 from bulletuav.tasks.ingredients import reward
 from bulletuav.tasks.parts.airspace import (
     AirspaceOptions,
@@ -90,6 +90,11 @@ class Pursuit(GoalFlight[PursuitConfig]):
     places: ClassVar[tuple[str, ...]] = ("start",)
     observation = ("position", "velocity", "goal", "goal_velocity", "neighbours", "obstacles")
     reward: ClassVar = {**REWARD_WEIGHTS, "progress": 0.0, "lap": (lap, 1000.0)}
+    training_weights: ClassVar[Mapping[str, float]] = {
+        **TRAINING_WEIGHTS,
+        "progress": 0.0,
+        "lap": 15.0,
+    }
     presets: ClassVar = {
         "uavconflict": {**UAVCONFLICT, "weights": {**UAVCONFLICT["weights"], "lap": 0.0}}
     }

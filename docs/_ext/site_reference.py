@@ -84,10 +84,12 @@ def task_page(name: str) -> str:
         if (word := re.match(r"\w+", paragraph)) and word[0] in MDP_PARTS:
             parts.append(f"## {word[0]}")
         parts.append(paragraph)
+    training = ["in training"] if task.training_weights else []
     parts += [
         "## Reward terms",
         "Terms of weight 0 are computed if the option `weights` sets their weight.",
-        rich_table(description.reward_table(task), ("term", "weight", "value")),
+        *(['The option `reward="training"` selects the weights for training.'] if training else []),
+        rich_table(description.reward_table(task), ("term", "weight", *training, "value")),
         "## Ends of an episode",
         rich_table(description.ends_table(task), ("condition", "effect", "meaning")),
         "## Difficulties",

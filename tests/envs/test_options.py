@@ -1,8 +1,11 @@
+from typing import ClassVar
+
 import numpy as np
 import pytest
 
 import bulletuav
 from bulletuav.envs.env_spec import EnvSpec
+from bulletuav.tasks.crossing import Crossing
 
 BAD = [
     ("hover", {"num_drones": 0}, "num_drones is 0"),
@@ -120,6 +123,8 @@ BAD = [
     ("crossing", {"lanes": 0}, "lanes is 0"),
     ("crossing", {"start_speed": (10.0, 30.0)}, "start_speed"),
     ("crossing", {"start_speed": (float("nan"), 1.0)}, "start_speed"),
+    ("crossing", {"reward": "trainin"}, "unknown reward 'trainin': did you mean 'training'"),
+    ("crossing", {"reward": np.zeros(3)}, "reward is .*'benchmark', 'training', or a dict"),
     ("crosing", {}, "unknown task 'crosing': did you mean 'crossing'"),
 ]
 
@@ -169,6 +174,31 @@ def test_given_values_go_before_the_difficulty_and_that_before_defaults():
         easy.num_drones,
         bulletuav.Aviary("crossing", difficulty="easy", num_drones=3).num_drones,
     ) == (4, 3)
+
+
+def test_the_name_of_a_reward_selects_the_weights_of_the_task():
+    def weights(**options):
+        return EnvSpec("crossing", 1, options).task.weights
+
+    usual, training = weights(), Crossing.training_weights
+    assert weights(reward="benchmark") == usual
+    assert weights(reward="training") == {**usual, **training}
+    # Weights for training override those of a preset, and given ones override both
+    preset = weights(preset="uavconflict")
+    mixed = weights(preset="uavconflict", reward="training", weights={"goal": 3.0})
+    assert mixed == {**preset, **training, "goal": 3.0}
+    hover = EnvSpec("hover", 1, {"reward": "training"}).task.weights
+    assert hover == EnvSpec("hover", 1, {}).task.weights
+
+
+def test_a_task_that_replaces_reward_terms_inherits_training_weights_of_the_others():
+    class Short(Crossing):
+        name = "short"
+        reward: ClassVar = {"progress": 1.0, "goal": 5.0}
+
+    task = EnvSpec(Short, 1, {"reward": "training"}).task
+    assert task.weights["progress"] == Crossing.training_weights["progress"]
+    assert set(task.weights) == {*Short.reward, "obstacle_warning"}
 
 
 def test_a_slow_airframe_lowers_the_default_speed_only(urdf):

@@ -80,13 +80,18 @@ def test_presets_that_the_text_names_can_be_asked_for(printed):
 def test_tables_hold_what_the_code_does(name):
     task = find_task(name)
     spec = EnvSpec(name, 1, {})
-    weights = {term: float(weight) for term, weight, _ in rows(reward_table(task))}
+    table = rows(reward_table(task))
+    weights = {term: float(weight) for term, weight, *_ in table}
     if not getattr(spec.task.config, "num_obstacles", 0):
         # Without obstacles there is nothing to warn of.
         weights.pop("obstacle_warning", None)
         spec.task.weights.pop("obstacle_warning", None)
     assert weights == spec.task.weights
-    assert all(about for *_, about in rows(reward_table(task)))
+    assert all(about for *_, about in table)
+    if task.training_weights:
+        trained = EnvSpec(name, 1, {"reward": "training"}).task.weights
+        in_training = {term: float(weight) for term, _, weight, _ in table}
+        assert in_training.items() >= trained.items() - {("obstacle_warning", 0.0)}
     values = dict(rows(difficulties_table(task)))
     assert set(values) == {
         *(f"difficulty {one}" for one in task.difficulties),
