@@ -116,6 +116,7 @@ class DroneVecEnv(Environment, VecEnv):
         stages: Sequence[Mapping[str, Any]] = ({},),
         curriculum: Curriculum | None = None,
         shared_reward: bool = False,
+        staggered: bool = False,
         **options: Any,
     ) -> None:
         """Make the environment.
@@ -128,6 +129,10 @@ class DroneVecEnv(Environment, VecEnv):
             curriculum: Rule that selects the stage, with its current stage; its defaults if None.
             shared_reward: If True, each drone receives the mean of the rewards of all drones of its
                 world, where absent drones count as 0. Infos have the reward of each drone itself.
+            staggered: If True, the first episodes after `reset` are cut short, that of world w of W
+                after the fraction (w + 1) / W of the horizon. Otherwise worlds whose episodes last
+                until the horizon stay in step, and a short rollout has only one phase of them. Cut
+                episodes have no "episode" in their infos, and do not count in the curriculum.
             **options: Options of `Aviary`.
 
         Raises:
@@ -136,6 +141,8 @@ class DroneVecEnv(Environment, VecEnv):
                 there is a live view of several stages.
         """
         self._shared_reward = shared_reward
+        self._staggered = staggered
+        self._until_cut = np.zeros(num_worlds, dtype=int)
         self._task = task
         self._stage_options = [{**options, **stage} for stage in stages]
         self.curriculum = curriculum or Curriculum(len(self._stage_options))
@@ -216,7 +223,11 @@ class DroneVecEnv(Environment, VecEnv):
             Observations (slots, D), or a dict of such arrays.
         """
         everywhere = np.ones(self.num_worlds, dtype=bool)
-        return self._rows(self._start(everywhere, True))
+        observations = self._start(everywhere, True)
+        # Remaining decisions until each world's first episode is cut; it is not cut below 1
+        horizon = self.aviary.options.horizon if self._staggered else 0
+        self._until_cut = horizon * np.arange(1, self.num_worlds + 1) // self.num_worlds
+        return self._rows(observations)
 
     def _start(self, worlds: np.ndarray, uses_seed: bool = False) -> Observation:
         """Reset the worlds of a mask (W,), or all if the stage changes; return observations.
@@ -273,14 +284,18 @@ class DroneVecEnv(Environment, VecEnv):
         # Finished episodes of whole worlds may change the stage
         was_flown = np.any(flown, axis=1)
         over = was_flown & ~np.any(aviary.alive, axis=1)
+        self._until_cut[over] = 0
+        self._until_cut -= 1
+        cut = self._until_cut == 0
         for world in np.flatnonzero(over):
             # Otherwise the episode belongs to a previous stage
             if self.curriculum.stage == self._stage:
                 self.curriculum.record(float(self._success[world].mean()))
         change = self.curriculum.stage != self._stage
         # Finished episodes of drones
-        ended = flown & (change | ~aviary.alive)
-        infos = self._infos(step, ended)
+        ended = flown & (change | cut[:, None] | ~aviary.alive)
+        infos = self._infos(step, ended, cut)
+        over |= cut
         dones = self._wide(ended | over[:, None] | change, True)
         # Rewards are NaN without a drone
         earned = np.where(flown, step.rewards, 0.0)
@@ -308,8 +323,11 @@ class DroneVecEnv(Environment, VecEnv):
         self._decisions += flown
         self.decisions += int(flown.sum())
 
-    def _infos(self, step: Step, ended: np.ndarray) -> list[Info]:
-        """Return the infos of all slots, with totals for the episodes that ended (W, N)."""
+    def _infos(self, step: Step, ended: np.ndarray, cut: np.ndarray) -> list[Info]:
+        """Return the infos of all slots.
+
+        They have totals for the episodes that ended (W, N), except in worlds that are cut (W,).
+        """
         infos: list[Info] = [{} for _ in range(self.num_envs)]
         if not ended.any():
             return infos
@@ -324,12 +342,13 @@ class DroneVecEnv(Environment, VecEnv):
                 "collision": float(self._collision[w, i]),
             }
             terms = {name: float(term[w, i]) for name, term in self._returns.items() if name}
-            infos[w * self.num_drones + i] = {
+            info: Info = {
                 "terminal_observation": part(step.observations, (w, i)),
                 "TimeLimit.truncated": not step.terminated[w, i],
-                "is_success": bool(self._success[w, i]),
-                "episode": episode | terms,
             }
+            if not cut[w]:
+                info |= {"is_success": bool(self._success[w, i]), "episode": episode | terms}
+            infos[w * self.num_drones + i] = info
         return infos
 
     def _wide(self, array: np.ndarray, fill: float) -> np.ndarray:

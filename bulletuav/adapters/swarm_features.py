@@ -1,6 +1,6 @@
 """Feature extractor for PyTorch that is invariant to number and order of other drones."""
 
-from typing import Any
+from typing import Any, cast
 
 from gymnasium.spaces import Box
 
@@ -65,6 +65,16 @@ class SwarmFeatures(BaseFeaturesExtractor):
             each = self._each(word, torch.cat(known, -1), own) * is_there
             parts += [each.sum(1) / 2, each.amax(1)]
         return torch.cat(parts, 1)
+
+    def reset_parameters(self) -> None:
+        """Set initial weights: PyTorch's, with small outputs, so that own numbers come first."""
+        for layer in self.each.modules():
+            if isinstance(layer, nn.Linear):
+                layer.reset_parameters()
+        for layers in self.each.values():
+            last: Any = cast(Any, layers)[2]
+            nn.init.uniform_(last.weight, -0.02, 0.02)
+            nn.init.zeros_(last.bias)
 
     def _each(self, word: str, known: torch.Tensor, own: torch.Tensor) -> torch.Tensor:
         """Apply the MLP to features (B, K, F) of others, each with the own numbers (B, D)."""

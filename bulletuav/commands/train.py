@@ -27,12 +27,12 @@ from bulletuav.policies.run import (
     POLICY,
     SCENE,
     RunConfig,
-    shipped,
     shipped_tasks,
 )
 from bulletuav.report.charts import plot_curves
 from bulletuav.tasks import find_task
 from bulletuav.training.campaign import Campaign, describe_wall_time, learning_table
+from bulletuav.training.schedules import default_run, shipped_run
 from bulletuav.training.store import (
     CURVE,
     UPDATES,
@@ -57,7 +57,7 @@ def run(arguments: argparse.Namespace) -> None:
         if getattr(arguments, one) is not None and getattr(arguments, other):
             raise ValueError(f"--{one} and --{other}: give one of them")
     if arguments.all:
-        bases = [_shipped_config(task) for task in shipped_tasks()]
+        bases = [shipped_run(task) for task in shipped_tasks()]
     else:
         bases = [base_config(arguments, arguments.task)]
     configs = [run_config(arguments, base) for base in bases]
@@ -95,8 +95,9 @@ def run_config(arguments: argparse.Namespace, base: RunConfig) -> RunConfig:
         for name in RUN_ARGUMENTS
         if getattr(arguments, name) is not None
     }
-    # Evaluations use the other options automatically
-    held = {name: value for name, value in given.items() if name not in (*INTERFACE, *SCENE)}
+    # Evaluations use options of `INTERFACE` and `SCENE` automatically, and the benchmark's reward
+    inherited = (*INTERFACE, *SCENE, "reward")
+    held = {name: value for name, value in given.items() if name not in inherited}
     kept = {name: value for name, value in base.evaluation.items() if name not in given}
     changes["evaluation"] = {**kept, **held}
     # A curriculum of difficulties replaces the stages of the settings
@@ -109,11 +110,7 @@ def run_config(arguments: argparse.Namespace, base: RunConfig) -> RunConfig:
 
 
 def base_config(arguments: argparse.Namespace, task: str | None) -> RunConfig:
-    """Return the base settings: from a file, from the package, or defaults.
-
-    From the settings of the package, only those of learning are used. The difficulty, the other
-    options of `SCENE` and the options of evaluations are the defaults of the task unless given, as
-    in `evaluate`.
+    """Return the base settings: from a file, or the defaults of a task.
 
     Args:
         arguments: Parsed arguments of a command with `--config`.
@@ -127,16 +124,11 @@ def base_config(arguments: argparse.Namespace, task: str | None) -> RunConfig:
         file = arguments.config / CONFIG if is_folder else arguments.config
         return RunConfig.read(file, arguments.trust)
     assert task is not None
-    if find_task(task).name not in shipped_tasks():
-        return RunConfig(task)
-    known = _shipped_config(task)
-    options = {name: value for name, value in known.options.items() if name not in SCENE}
-    return dataclasses.replace(known, options=options, evaluation={})
-
-
-def _shipped_config(task: str) -> RunConfig:
-    """Read the settings of the policy of the package for a task, with seed 0."""
-    return dataclasses.replace(RunConfig.read(shipped(task) / CONFIG), seed=0)
+    run = default_run(task)
+    # The dynamics of the defaults may not support the given action
+    is_kept = "action" not in given_options(arguments)
+    options = {name: one for name, one in run.options.items() if is_kept or name != "dynamics"}
+    return dataclasses.replace(run, options=options)
 
 
 def _stages_without(base: RunConfig, given: Mapping[str, Any]) -> list[dict[str, Any]]:

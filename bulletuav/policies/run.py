@@ -106,6 +106,8 @@ class RunConfig:
             curriculum.
         curriculum: Arguments `up`, `down` and `window` of `bulletuav.envs.curriculum.Curriculum`.
         shared_reward: Whether each drone gets the mean reward of its world.
+        staggered: Whether the first episodes of the worlds are cut at different times, so that
+            rollouts shorter than an episode have all phases of it.
         model: Arguments of the algorithm, see `bulletuav.training.models.make_model`.
         evaluations: Number of evaluations and checkpoints during training.
         episodes: Number of episodes of each evaluation.
@@ -122,6 +124,7 @@ class RunConfig:
     stages: Sequence[Mapping[str, Any]] = ({},)
     curriculum: Mapping[str, Any] = field(default_factory=dict)
     shared_reward: bool = False
+    staggered: bool = False
     model: Mapping[str, Any] = field(default_factory=dict)
     evaluations: int = 20
     episodes: int = 20
@@ -142,10 +145,9 @@ class RunConfig:
             value = getattr(self, name)
             if not isinstance(value, Mapping):
                 raise ValueError(f"{name} is {shown(value)}: names with values are needed")
-        if not isinstance(self.shared_reward, bool):
-            raise ValueError(
-                f"shared_reward is {shown(self.shared_reward)}: true or false is needed"
-            )
+        for name in ("shared_reward", "staggered"):
+            if not isinstance(value := getattr(self, name), bool):
+                raise ValueError(f"{name} is {shown(value)}: true or false is needed")
         # Constructing the curriculum and the options validates them.
         check_stages(self.stages)
         for name in self.curriculum:

@@ -17,6 +17,7 @@ from bulletuav.adapters.sb3 import (
     algorithm,
 )
 from bulletuav.adapters.sb3_policy import FEATURES, policy_arguments
+from bulletuav.adapters.swarm_features import SwarmFeatures
 from bulletuav.errors import (
     as_int,
     as_sequence,
@@ -100,7 +101,7 @@ def make_model(config: RunConfig, env: DroneVecEnv) -> Any:
         # SB3 warns if minibatches do not divide the rollout, which never holds here
         with warnings.catch_warnings():
             warnings.filterwarnings("ignore", message="(?s).*mini-batch")
-            return kind(
+            model = kind(
                 "MultiInputPolicy" if pictures else "MlpPolicy",
                 env,
                 seed=config.seed,
@@ -110,6 +111,13 @@ def make_model(config: RunConfig, env: DroneVecEnv) -> Any:
     except (TypeError, AssertionError, RuntimeError) as error:
         remedy = "; choose another algorithm, or action" if "action spaces" in str(error) else ""
         raise ValueError(f"model {config.algo}: {error}{remedy}") from None
+    # SB3 initialises feature extractors of on-policy algorithms with orthogonal weights and a gain
+    # meant for a few layers of tanh. With it, `SwarmFeatures` learn far more slowly than with
+    # PyTorch's own initial weights.
+    for module in model.policy.modules():
+        if isinstance(module, SwarmFeatures) and config.algo in ON_POLICY:
+            module.reset_parameters()
+    return model
 
 
 def check_settings(config: RunConfig) -> None:

@@ -98,6 +98,7 @@ def _train(config: RunConfig, store: Store, progress: Progress, note: Note, mlfl
             config.stages,
             Curriculum(len(config.stages), **config.curriculum),
             config.shared_reward,
+            config.staggered,
             **config.options,
         )
         exit_stack.callback(env.close)
@@ -226,7 +227,7 @@ class _Segments(BaseCallback):
         """Record and report the finished episodes; return True to continue training."""
         before = len(self._episodes)
         for info in self.locals["infos"]:
-            if info:
+            if "episode" in info:
                 self._episodes.append(info["episode"] | {"success": info["is_success"]})
         if len(self._episodes) > before:
             self._note(self._describe_progress())

@@ -378,3 +378,37 @@ def test_the_extra_is_named_where_it_is_missing(monkeypatch):
     for name in names:
         with pytest.raises(ImportError, match=r"\[sb3\]'"):
             importlib.import_module(f"bulletuav.adapters.{name}")
+
+
+def test_staggered_worlds_cut_their_first_episodes_at_different_times():
+    env = DroneVecEnv("converge", 5, staggered=True, **SHORT)
+    env.seed(0)
+    env.reset()
+    ends = []
+    for _ in range(11):
+        _, _, dones, infos = env.step(np.zeros((15, 3)))
+        ends.append(dones.reshape(5, 3).all(axis=1).tolist())
+        for done, info in zip(dones, infos, strict=True):
+            assert ("terminal_observation" in info) == done
+    # World w of 5 is cut after w + 1 of 5 decisions, and again at the horizon from there on
+    expected = [[(step - (w + 1)) % 5 == 0 and step > w for w in range(5)] for step in range(1, 12)]
+    assert ends == expected
+    env.close()
+
+
+def test_cut_episodes_are_truncated_and_do_not_count():
+    env = DroneVecEnv("converge", 2, [{}, {}], Curriculum(2, window=1), staggered=True, **SHORT)
+    env.seed(0)
+    env.reset()
+    for _ in range(2):
+        *_, infos = env.step(np.zeros((6, 3)))
+    assert [set(info) for info in infos[:3]] == [
+        {"terminal_observation", "TimeLimit.truncated"}
+    ] * 3
+    assert all(info["TimeLimit.truncated"] for info in infos[:3])
+    assert env.curriculum.state() == Curriculum(2, window=1).state()
+    for _ in range(3):
+        *_, infos = env.step(np.zeros((6, 3)))
+    assert infos[:3] == [{}] * 3
+    assert all("episode" in info for info in infos[3:])
+    env.close()

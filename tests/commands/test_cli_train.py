@@ -214,7 +214,8 @@ def configured(*arguments):
 
 def test_what_is_given_goes_before_the_settings_of_the_package():
     usual = configured("crossing")
-    assert [stage["dynamics"] for stage in usual.stages] == ["point_mass", "bullet"]
+    assert usual.options["dynamics"] == "point_mass"
+    assert "dynamics" not in configured("crossing", "--action", "rates").options
     one = configured("crossing", "--dynamics", "double_integrator", "--model", "gamma=0.9")
     assert one.options["dynamics"] == "double_integrator"
     assert list(one.stages) == [{}]
@@ -224,6 +225,12 @@ def test_what_is_given_goes_before_the_settings_of_the_package():
     assert easier.curriculum == {}
     other = configured("crossing", "--algo", "sac", "--seed", "5")
     assert (other.model, other.seed, other.options) == ({}, 5, usual.options)
+
+
+def test_a_run_with_weights_for_training_is_evaluated_by_the_benchmark():
+    run = configured("formation", "--set", "reward=training", "--set", "goal_radius=3")
+    assert run.options["reward"] == "training"
+    assert run.evaluation == {"goal_radius": 3}
 
 
 def test_a_run_that_shows_a_block_of_a_module_is_evaluated_and_goes_on(

@@ -525,6 +525,7 @@ def test_what_a_run_of_a_campaign_raises_is_raised(tmp_path):
         ("task: crossing\nstages: 5", "stages is 5"),
         ("task: crossing\nstages: []", "stages is"),
         ("task: crossing\nshared_reward: 1", "shared_reward is 1"),
+        ("task: crossing\nstaggered: 1", "staggered is 1"),
         ("task: crossing\ncurriculum: {upp: 0.9}", "did you mean 'up'"),
         ("task: crossing\ncurriculum: {up: 2.0}", "0 <= down < up <= 1"),
         ("task: crossing\noptions: {dynamic: bullet}", "did you mean 'dynamics'"),

@@ -1,0 +1,57 @@
+"""Default settings of training runs by task."""
+
+import dataclasses
+from typing import Any
+
+from bulletuav.policies.run import CONFIG, SCENE, RunConfig, shipped, shipped_tasks
+from bulletuav.tasks import find_task
+from bulletuav.tasks.goal_flight import GoalFlight
+
+REPLACED = {"position": None, "goal": "goal_offset", "neighbours": "intruders"}
+"""Blocks of a goal flight's observation that training leaves out (None) or replaces.
+
+Near the goal, its offset in symlog changes far more than its direction. With the direction, drones
+learn to fly towards the goal, but not to hit it.
+"""
+GOAL_FLIGHT: dict[str, Any] = {
+    "steps": 1_200_000,
+    "worlds": 64,
+    "staggered": True,
+    "model": {"features": "swarm", "n_steps": 32, "n_epochs": 4},
+}
+"""Settings of runs in flights of several drones to goals"""
+
+
+def default_run(task: str) -> RunConfig:
+    """Return the default settings of a training run.
+
+    They are the schedule `GOAL_FLIGHT` in goal flights, those of the policy of the package in other
+    tasks that have one, and otherwise those of `RunConfig` with the task's weights for training.
+    The difficulty, the other options of `SCENE` and the options of evaluations are the defaults of
+    the task, as in `evaluate`.
+
+    Args:
+        task: Name of the task.
+
+    Raises:
+        ValueError: If there is no such task.
+    """
+    kind = find_task(task)
+    options: dict[str, Any] = {"reward": "training"}
+    if issubclass(kind, GoalFlight):
+        # run.yaml has names of blocks, and no blocks that only the task's module names
+        named = [REPLACED.get(one, one) for one in kind.observation if isinstance(one, str)]
+        options |= {"observation": [one for one in named if one], "num_neighbours": 6}
+        # It is fast, and policies that learn in it fly in dynamics with rotors, too
+        options["dynamics"] = "point_mass"
+        return RunConfig(task, options=options, **GOAL_FLIGHT)
+    if kind.name not in shipped_tasks():
+        return RunConfig(task, options=options)
+    known = shipped_run(task)
+    options = {name: value for name, value in known.options.items() if name not in SCENE}
+    return dataclasses.replace(known, options=options, evaluation={})
+
+
+def shipped_run(task: str) -> RunConfig:
+    """Return the settings of the policy of the package for a task, with seed 0."""
+    return dataclasses.replace(RunConfig.read(shipped(task) / CONFIG), seed=0)

@@ -1,0 +1,77 @@
+"""Default settings of training runs."""
+
+import numpy as np
+import pytest
+import torch
+from torch import nn
+
+from bulletuav.adapters.sb3 import DroneVecEnv
+from bulletuav.envs.env_spec import EnvSpec
+from bulletuav.policies.run import RunConfig, shipped_tasks
+from bulletuav.tasks import find_task, list_tasks
+from bulletuav.tasks.goal_flight import GoalFlight
+from bulletuav.training.models import make_model
+from bulletuav.training.schedules import GOAL_FLIGHT, default_run, shipped_run
+from bulletuav.training.trainer import train
+
+SWARM = {"dynamics": "single_integrator", "observation": ["goal_offset", "intruders"]}
+FLIGHTS = [name for name in list_tasks() if issubclass(find_task(name), GoalFlight)]
+
+
+@pytest.mark.parametrize("task", list_tasks())
+def test_default_settings_use_the_weights_for_training_and_are_evaluated_by_the_benchmark(
+    task, tmp_path
+):
+    run = default_run(task)
+    (tmp_path / "run.yaml").write_text(run.text())
+    assert RunConfig.read(tmp_path / "run.yaml").text() == run.text()
+    weights = EnvSpec(task, 1, run.evaluated).task.weights
+    assert weights == EnvSpec(task, 1, {}).task.weights
+    if task in FLIGHTS or task not in shipped_tasks():
+        trained = EnvSpec(task, 1, dict(run.options)).task.weights
+        assert trained == {**weights, **find_task(task).training_weights}
+
+
+@pytest.mark.parametrize("task", FLIGHTS)
+def test_goal_flights_observe_offsets_of_goals_and_no_position(task):
+    run = default_run(task)
+    assert "goal_offset" in run.options["observation"]
+    assert not {"position", "goal", "neighbours"} & set(run.options["observation"])
+    assert run.worlds == GOAL_FLIGHT["worlds"]
+    EnvSpec(task, 1, dict(run.options))
+
+
+def test_other_tasks_with_a_policy_in_the_package_keep_its_settings():
+    run, known = default_run("hover"), shipped_run("hover")
+    assert (run.model, run.steps) == (known.model, known.steps)
+    assert "difficulty" not in run.options
+
+
+@pytest.mark.parametrize(("algo", "is_small"), [("ppo", True), ("a2c", True), ("sac", False)])
+def test_swarm_features_of_on_policy_algorithms_begin_small(algo, is_small):
+    """The orthogonal initial weights of stable-baselines3 would drown the drone's own numbers."""
+    env = DroneVecEnv("crossing", 1, **SWARM)
+    buffer = {"n_steps": 8} if is_small else {"buffer_size": 100}
+    settings = {"features": "swarm", **buffer}
+    models = [
+        make_model(RunConfig("crossing", algo, options=SWARM, model=settings), env)
+        for _ in range(2)
+    ]
+    policies = [model.policy for model in models]
+    env.close()
+    found = getattr(policies[0], "actor", policies[0]).features_extractor
+    first, second = (layer for layer in found.each["intruder"] if isinstance(layer, nn.Linear))
+    assert (second.weight.abs().max() <= 0.02) == is_small
+    assert first.weight.abs().max() <= 1 / np.sqrt(first.in_features)  # PyTorch's own
+    for one, other in zip(policies[0].parameters(), policies[1].parameters(), strict=True):
+        assert torch.equal(one, other)
+
+
+@pytest.mark.slow
+def test_crossing_is_learned_within_the_default_budget(tmp_path):
+    """A few minutes of one core."""
+    run = default_run("crossing")
+    changes = {"evaluations": 2, "evaluation": {"dynamics": "point_mass"}}
+    rows = train(RunConfig(**{**vars(run), **changes}), tmp_path)
+    assert rows[0]["safe_success"] == 0
+    assert rows[-1]["safe_success"] >= 0.9
