@@ -102,12 +102,12 @@ def assign_roles(task: TaskSource, baseline: PolicySource) -> dict[str, Role]:
     # In a game the goals are opponents, so that flying straight at the goal is the desired
     # behaviour.
     left_out |= {"straight"} if opponents else set()
-    roles: dict[str, Role] = {}
-    if not kind.is_game:
-        roles[kind.oracle or str(first)] = "oracle"
-    roles |= dict.fromkeys(BLIND_POLICIES, "blind")
-    roles |= dict.fromkeys((*DEGENERATE_POLICIES, *kind.shirkers), "shirker")
-    return {name: role for name, role in roles.items() if role == "oracle" or name not in left_out}
+    named = [*BLIND_POLICIES, *DEGENERATE_POLICIES, *kind.shirkers]
+    roles: dict[str, Role] = {} if kind.is_game else {kind.oracle or str(first): "oracle"}
+    for name in named:
+        if name not in left_out:
+            roles[name] = "blind" if name in BLIND_POLICIES else "shirker"
+    return roles
 
 
 def _split_teams(policy: PolicySource) -> list[PolicySource]:

@@ -116,7 +116,7 @@ class Formation(GoalFlight[FormationConfig]):
         **TRAINING_WEIGHTS,
         "goal": 0.0,
         "holding": 0.1,
-        # With the weight of other flights, drones do not come together within a million decisions
+        # With the -6 of other flights, drones do not come together within a million decisions
         "conflict": -2.0,
         "warning": -0.03,
         "collision": -4.0,

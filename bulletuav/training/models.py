@@ -111,9 +111,8 @@ def make_model(config: RunConfig, env: DroneVecEnv) -> Any:
     except (TypeError, AssertionError, RuntimeError) as error:
         remedy = "; choose another algorithm, or action" if "action spaces" in str(error) else ""
         raise ValueError(f"model {config.algo}: {error}{remedy}") from None
-    # SB3 initialises feature extractors of on-policy algorithms with orthogonal weights and a gain
-    # meant for a few layers of tanh. With it, `SwarmFeatures` learn far more slowly than with
-    # PyTorch's own initial weights.
+    # SB3 initialises feature extractors of on-policy algorithms with orthogonal weights of large
+    # outputs, with which drones did not learn `crossing`; see docs/lab/training_weights.md
     for module in model.policy.modules():
         if isinstance(module, SwarmFeatures) and config.algo in ON_POLICY:
             module.reset_parameters()
