@@ -44,7 +44,7 @@ class CoverageConfig(CityOptions, ObstacleOptions, TaskConfig):
 
     d_safe: float = 2.0
     cell: float = 10.0
-    wanted: float = 0.46
+    wanted: float = 0.43
     city: Any = "dense"
     height: tuple[float, float] = (20.0, 45.0)
     ceiling: float = 50.0
@@ -90,8 +90,8 @@ class Coverage(Task[CoverageConfig]):
     End: terminated on contact, when the battery is empty, and outside the city's square or above
     its ceiling. Truncated after 600 decisions.
 
-    Success: averaged over the episode, 46 % of the squares are covered (medium 56 %, hard
-    64 %, extreme 65 %), and the drone had no conflict or collision.
+    Success: averaged over the episode, 43 % of the squares are covered (medium 55 %, hard
+    62 %, extreme 65 %), and the drone had no conflict or collision.
 
     Preset urbanmarl: sizes and rates of UrbanMARL 0.3.1 (docs/explanation/radio_and_edge.md).
     """
@@ -99,7 +99,7 @@ class Coverage(Task[CoverageConfig]):
     version = 2
     name = "coverage"
     defaults: ClassVar = {**URBAN_DEFAULTS, "horizon": 600}
-    difficulties: ClassVar = service_difficulties(medium=0.56, hard=0.64, extreme=0.65)
+    difficulties: ClassVar = service_difficulties(medium=0.55, hard=0.62, extreme=0.65)
     presets: ClassVar = {"urbanmarl": URBANMARL_COVERAGE}
     has_goals = False
     places = ("start",)

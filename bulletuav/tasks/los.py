@@ -21,7 +21,7 @@ class LosConfig(UserServiceConfig):
     """
 
     boundary: Literal["end", "soft", "hard"] = "end"
-    wanted: float = 0.52
+    wanted: float = 0.55
 
 
 @register("task")
@@ -49,7 +49,7 @@ class Los(UserService[LosConfig]):
     End: terminated on contact, when the battery is empty, and outside the city's square or above
     its ceiling. Truncated after 600 decisions.
 
-    Success: averaged over the episode, at least one drone sees 52 % of the users (medium 68 %, hard
+    Success: averaged over the episode, at least one drone sees 55 % of the users (medium 68 %, hard
     78 %, extreme 70 %), and the drone itself had no conflict or collision.
 
     Preset urbanmarl: sizes and rates of UrbanMARL 0.3.1 (docs/explanation/radio_and_edge.md).

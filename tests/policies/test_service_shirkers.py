@@ -64,10 +64,13 @@ def test_the_late_stay_for_half_of_the_episode(flights):
     assert np.ptp(positions[50:], axis=0).max() > 20.0
 
 
-def test_the_resting_are_low_in_the_second_half(flights):
-    heights = flights["service_half"][0][..., 2]
-    assert heights[48].min() > 30.0
-    assert heights[-1].max() < 30.0
+def test_the_resting_land_after_half_of_the_episode(flights):
+    positions, served, _ = flights["service_half"]
+    assert positions[48, :, 2].min() > 30.0
+    # On the ground or on roofs
+    assert positions[-1, :, 2].max() < 30.0
+    assert served[45] > 0.0
+    assert served[-1] == 0.0
 
 
 @pytest.mark.parametrize("task", ["los", "mobile_users", "mec", "mec_advanced", "coverage"])

@@ -13,8 +13,6 @@ RING_FRACTION = 0.6
 on average"""
 WORK_FRACTION = 0.5
 """Fraction of the episode in which policies that serve for a part of it do so"""
-REST_HEIGHT = 3.0
-"""Height above the ground to which drones descend to rest, m"""
 
 
 @register("policy")
@@ -88,7 +86,7 @@ class LateService(Oracle):
 
 @register("policy")
 class HalfService(Oracle):
-    """Serve as the oracle does for half of the episode, then descend and rest near the ground."""
+    """Serve as the oracle does for half of the episode, then land to rest."""
 
     name = "service_half"
 
@@ -99,6 +97,6 @@ class HalfService(Oracle):
         velocity = super().avoid(traffic, preferred, parameters)
         rests = self.aviary.steps >= WORK_FRACTION * self.aviary.options.horizon
         speed = parameters.max_speed
-        down = np.clip(REST_HEIGHT - self.aviary.swarm.position[rests, :, 2], -speed, speed)
+        down = np.maximum(-self.aviary.swarm.position[rests, :, 2], -speed)
         velocity[rests] = down[..., None] * (0.0, 0.0, 1.0)
         return velocity
