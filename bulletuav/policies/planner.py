@@ -104,8 +104,10 @@ class PathFollower(Orca):
         paths = (self._path, self._count, self._next, self._half_width)
         tube = tube_surfaces(self.aviary.swarm.position, *paths)
         bounds, buildings = np.split(traffic.surface, [FACES], axis=2)
-        # Far from buildings, drones need space to pass each other
-        is_near = buildings[..., 3].min(axis=2, initial=np.inf) < parameters.separation
+        # Far from buildings, at least one decision away, drones need space to pass each other
+        reach = parameters.max_speed / self.aviary.options.decision_hz
+        distance = buildings[..., 3].min(axis=2, initial=np.inf)
+        is_near = distance < max(parameters.separation, reach)
         tube[..., 3] = np.where(is_near[..., None], tube[..., 3], np.inf)
         traffic = traffic._replace(surface=np.concatenate([bounds, tube], axis=2))
         return super().avoid(traffic, preferred, parameters)
