@@ -104,12 +104,25 @@ class PathFollower(Orca):
         """Compute `orca_velocities` that near buildings stay on the path to keep clear of them."""
         paths = (self._path, self._count, self._next, self._half_width)
         tube = tube_surfaces(self.aviary.swarm.position, *paths)
-        bounds, buildings = np.split(traffic.surface, [FACES], axis=2)
-        # Far from buildings, drones need space to pass each other
-        is_near = buildings[..., 3].min(axis=2, initial=np.inf) < parameters.separation
+        bounds, walls = np.split(traffic.surface, [FACES], axis=2)
+        # Far from buildings, at least one decision away, drones need space to pass each other
+        period = 1 / self.aviary.options.decision_hz
+        distance = walls[..., 3].min(axis=2, initial=np.inf)
+        is_near = distance < max(parameters.separation, period * parameters.max_speed)
         tube[..., 3] = np.where(is_near[..., None], tube[..., 3], np.inf)
-        traffic = traffic._replace(surface=np.concatenate([bounds, tube], axis=2))
-        return super().avoid(traffic, preferred, parameters)
+        # Starts may be nearer to walls than paths are; paths turn after less than BRAKING
+        walls[..., 3] += self.clearance.margin
+        walls[..., 3] *= parameters.braking_time / max(DELAY, period)
+        traffic = traffic._replace(surface=np.concatenate([bounds, walls, tube], axis=2))
+        velocity = super().avoid(traffic, preferred, parameters)
+        # If no velocity is permitted, other drones must not push any drone into a wall
+        surface = np.concatenate([bounds, walls], axis=2)
+        for k in range(surface.shape[2]):
+            normal, distance = surface[:, :, k, :3], surface[:, :, k, 3]
+            fastest = -distance / parameters.braking_time
+            missing = np.maximum(fastest - (normal * velocity).sum(axis=-1), 0.0)
+            velocity = velocity + missing[..., None] * normal
+        return limit_norm(velocity, parameters.max_speed)
 
     @abstractmethod
     def goals(self, swarm: Swarm) -> np.ndarray:

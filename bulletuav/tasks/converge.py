@@ -8,7 +8,7 @@ import numpy as np
 from bulletuav.compiled.functions import cos, sin
 from bulletuav.registry import register
 from bulletuav.tasks.frame import Spawn, TaskContext
-from bulletuav.tasks.goal_flight import SHIRKERS, FlightConfig, GoalFlight
+from bulletuav.tasks.goal_flight import GOAL_FLIGHT_SHIRKERS, FlightConfig, GoalFlight
 from bulletuav.tasks.parts.airspace import (
     AirspaceOptions,
     circle_arena,
@@ -66,7 +66,7 @@ class Converge(GoalFlight[ConvergeConfig]):
 
     name = "converge"
     version = 2
-    shirkers = (*SHIRKERS, "pass_closely")
+    shirkers = (*GOAL_FLIGHT_SHIRKERS, "pass_closely")
     difficulties: ClassVar = {
         "easy": AIRSPACE_DIFFICULTIES["easy"],
         "medium": AIRSPACE_DIFFICULTIES["medium"],

@@ -8,8 +8,8 @@ import numpy as np
 from bulletuav.registry import register
 from bulletuav.tasks.frame import Spawn, TaskContext
 from bulletuav.tasks.goal_flight import (
+    GOAL_FLIGHT_SHIRKERS,
     REWARD_WEIGHTS,
-    SHIRKERS,
     FlightConfig,
     GoalFlight,
 )
@@ -76,7 +76,7 @@ class Crossing(GoalFlight[CrossingConfig]):
 
     name = "crossing"
     version = 2
-    shirkers = (*SHIRKERS, "pass_closely")
+    shirkers = (*GOAL_FLIGHT_SHIRKERS, "pass_closely")
     team_names = ("north", "east")
     # At -200, drones in conflict earn nine tenths of the pay of safe ones
     reward: ClassVar = {**REWARD_WEIGHTS, "conflict": -500.0}

@@ -14,7 +14,7 @@ from bulletuav.tasks.config import TaskConfig
 from bulletuav.tasks.ends import collision, leaves_arena
 from bulletuav.tasks.frame import Spawn, TaskContext
 from bulletuav.tasks.given import PLACES
-from bulletuav.tasks.goal_flight import SHIRKERS
+from bulletuav.tasks.goal_flight import GOAL_FLIGHT_SHIRKERS
 from bulletuav.tasks.ingredients import end, reward
 from bulletuav.tasks.parts.city_layouts import CityOptions, add_city
 from bulletuav.tasks.parts.difficulties import URBAN_DIFFICULTIES
@@ -113,7 +113,7 @@ class Default(Task[DefaultConfig]):
     difficulties: ClassVar = URBAN_DIFFICULTIES
     observation = ("velocity", "goal", "battery", "room", "lidar")
     baseline = "planner"
-    shirkers = SHIRKERS
+    shirkers = GOAL_FLIGHT_SHIRKERS
     places: ClassVar[tuple[str, ...]] = PLACES
     reward: ClassVar = {
         "progress": (speed_made_good, 1.0),

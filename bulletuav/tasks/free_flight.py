@@ -5,7 +5,7 @@ from typing import Any, ClassVar
 
 from bulletuav.registry import register
 from bulletuav.tasks.frame import TaskContext
-from bulletuav.tasks.goal_flight import SHIRKERS, FlightConfig, GoalFlight
+from bulletuav.tasks.goal_flight import GOAL_FLIGHT_SHIRKERS, FlightConfig, GoalFlight
 from bulletuav.tasks.parts.difficulties import AIRSPACE_DIFFICULTIES
 from bulletuav.tasks.parts.free_space import FreeSpace, FreeSpaceOptions
 from bulletuav.tasks.parts.presets import UAVCONFLICT
@@ -73,7 +73,7 @@ class FreeFlight(GoalFlight[FreeFlightConfig]):
 
     name = "free_flight"
     version = 2
-    shirkers = (*SHIRKERS, "pass_closely")
+    shirkers = (*GOAL_FLIGHT_SHIRKERS, "pass_closely")
     difficulties: ClassVar = {
         "easy": {**AIRSPACE_DIFFICULTIES["easy"], "area": 50.0, **DENSE},
         "medium": {**AIRSPACE_DIFFICULTIES["medium"], "area": 60.0, **DENSE},

@@ -42,7 +42,9 @@ REWARD_WEIGHTS = {
     "concession": 0.0,
 }
 """Weights of the reward terms of all flights to goals"""
-SHIRKERS = ("stop_short", "fly_over", "leave_near_goal")
+CITY_REWARD_WEIGHTS = {**REWARD_WEIGHTS, "goal": 300.0}
+"""Weights in cities; at 50, drones that stop just before the goal earn nine tenths of the pay"""
+GOAL_FLIGHT_SHIRKERS = ("stop_short", "fly_over", "leave_near_goal")
 """Policies that try to be paid for flights to goals without doing them; see `Task.shirkers`"""
 TRAINING_WEIGHTS = {
     "progress": 0.05,

@@ -6,11 +6,11 @@ from typing import ClassVar
 from bulletuav.registry import register
 from bulletuav.tasks.frame import TaskContext
 from bulletuav.tasks.goal_flight import (
-    SHIRKERS,
+    CITY_REWARD_WEIGHTS,
+    GOAL_FLIGHT_SHIRKERS,
     FlightConfig,
     GoalFlight,
 )
-from bulletuav.tasks.navigation import CITY_WEIGHTS
 from bulletuav.tasks.parts.city_layouts import CityOptions, add_city
 from bulletuav.tasks.parts.difficulties import URBAN_DIFFICULTIES
 from bulletuav.tasks.parts.presets import URBANMARL_LIDAR_NAVIGATION
@@ -77,7 +77,7 @@ class LidarNavigation(GoalFlight[LidarNavigationConfig]):
 
     name = "lidar_navigation"
     version = 2
-    shirkers = SHIRKERS
+    shirkers = GOAL_FLIGHT_SHIRKERS
     presets: ClassVar = {"urbanmarl": URBANMARL_LIDAR_NAVIGATION}
     difficulties: ClassVar = {
         difficulty: {
@@ -90,7 +90,7 @@ class LidarNavigation(GoalFlight[LidarNavigationConfig]):
     baseline = "planner"
     observation = ("velocity", "goal", "battery", "room", "lidar")
     required_sensors = ("lidar",)
-    reward: ClassVar = {**CITY_WEIGHTS, "proximity": -1.0, "distance": 0.0}
+    reward: ClassVar = {**CITY_REWARD_WEIGHTS, "proximity": -1.0, "distance": 0.0}
 
     def __init__(self, config: LidarNavigationConfig, context: TaskContext) -> None:
         """Create the cities, and check legs and the range of the term `proximity`.

@@ -5,14 +5,16 @@ from typing import ClassVar
 
 from bulletuav.registry import register
 from bulletuav.tasks.frame import TaskContext
-from bulletuav.tasks.goal_flight import REWARD_WEIGHTS, SHIRKERS, FlightConfig, GoalFlight
+from bulletuav.tasks.goal_flight import (
+    CITY_REWARD_WEIGHTS,
+    GOAL_FLIGHT_SHIRKERS,
+    FlightConfig,
+    GoalFlight,
+)
 from bulletuav.tasks.parts.city_layouts import CityOptions, add_city
 from bulletuav.tasks.parts.difficulties import URBAN_DIFFICULTIES
 from bulletuav.tasks.parts.presets import URBANMARL_NAVIGATION
 from bulletuav.tasks.parts.urban import URBAN_DEFAULTS, CityLegs, UrbanFlightOptions
-
-CITY_WEIGHTS = {**REWARD_WEIGHTS, "goal": 300.0}
-"""Weights of the reward terms; at 50, drones that stop just before the goal earn nine tenths"""
 
 
 @dataclass(frozen=True)
@@ -58,12 +60,12 @@ class Navigation(GoalFlight[NavigationConfig]):
 
     name = "navigation"
     version = 2
-    shirkers = SHIRKERS
+    shirkers = GOAL_FLIGHT_SHIRKERS
     presets: ClassVar = {"urbanmarl": URBANMARL_NAVIGATION}
     defaults: ClassVar = {**URBAN_DEFAULTS, "horizon": 600, "difficulty": "easy"}
     difficulties: ClassVar = URBAN_DIFFICULTIES
     baseline = "planner"
-    reward: ClassVar = CITY_WEIGHTS
+    reward: ClassVar = CITY_REWARD_WEIGHTS
     observation = ("position", "velocity", "goal", "battery", "room", "neighbours")
 
     def __init__(self, config: NavigationConfig, context: TaskContext) -> None:

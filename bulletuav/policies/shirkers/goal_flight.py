@@ -165,4 +165,5 @@ class FlyOver(Scripted):
         is_low = is_far & (ceiling > TOP)
         offset[..., :2] *= ~is_low[..., None]
         offset[..., 2] = np.where(is_far, ceiling, offset[..., 2])
-        return APPROACH * offset
+        velocity: np.ndarray = APPROACH * offset
+        return velocity
