@@ -106,7 +106,8 @@ def list_policies(task: TaskSource, baseline: PolicySource) -> dict[str, Role]:
     if not kind.is_game:
         roles[kind.oracle or str(first)] = "oracle"
     roles |= dict.fromkeys(BLIND_POLICIES, "blind")
-    roles |= dict.fromkeys((*DEGENERATE_POLICIES, *kind.shirkers), "shirker")
+    for name in (*DEGENERATE_POLICIES, *kind.shirkers):
+        roles.setdefault(name, "shirker")  # a baseline among them keeps its role
     return {name: role for name, role in roles.items() if role == "oracle" or name not in left_out}
 
 
