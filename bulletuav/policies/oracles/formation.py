@@ -11,7 +11,7 @@ from bulletuav.tasks.formation import Formation
 from bulletuav.tasks.observations.observer import Observation
 from bulletuav.vehicle.swarm import Swarm
 
-HORIZON = 2.0
+HORIZON = 1.5
 """Time horizon of conflict detection, s: neighbours in a formation are nearer than elsewhere"""
 BYPASS_MARGIN = 0.5
 """Vertical distance from the formation beyond the separation that drones maintain, m"""
