@@ -33,8 +33,8 @@ HUE_STEP = 6.0
 """Difference between these shades, from 0 to 255"""
 SUN = (0.33, -0.57, 0.75)
 """Direction to the sun"""
-AMBIENT = 0.6
-"""Brightness of faces that the sun does not light"""
+AMBIENT = 0.7
+"""Brightness of faces that are parallel to the direction of the sun"""
 
 
 class PictureMaker:
@@ -59,7 +59,8 @@ class PictureMaker:
         self._table = scenery.table
         self._faces = make_faces(scenery)
         normal = face_normals(scenery.table)
-        light = AMBIENT + (1 - AMBIENT) * np.clip((normal * SUN).sum(axis=1), 0, 1)
+        # Half-Lambert shading, so that faces in the shade differ, too
+        light = AMBIENT + (1 - AMBIENT) * (normal * SUN).sum(axis=1)
         light[0] = 1.0
         colour = np.array([COLOURS[label] for label in range(len(COLOURS))])[self._faces.labels]
         shape = np.repeat(np.arange(len(scenery.table.kind)), np.diff(self._faces.first))
