@@ -9,7 +9,7 @@ from bulletuav.geometry.raster import (
     Cameras,
     Canvas,
     Images,
-    Lens,
+    PixelRays,
     draw_pictures,
     make_canvas,
 )
@@ -73,7 +73,7 @@ class PictureMaker:
         self,
         scenery: Scenery,
         cameras: Cameras,
-        lens: Lens,
+        rays: PixelRays,
         images: Images,
         swarm: Poses,
         mask: np.ndarray,
@@ -83,26 +83,26 @@ class PictureMaker:
             self._set_faces(scenery)
         draw_pictures(
             cameras,
-            lens,
+            rays,
             scenery,
             self._blocks,
             self._faces,
             self._colour,
             swarm,
             mask,
-            self._canvas(lens, images),
+            self._canvas(rays, images),
             images,
         )
 
-    def _canvas(self, lens: Lens, images: Images) -> Canvas:
+    def _canvas(self, rays: PixelRays, images: Images) -> Canvas:
         """Return memory of the present thread for pictures of a size."""
         has_faces = bool(len(images.labels) or len(images.colours))
-        key = (len(lens.x), len(lens.y), has_faces)
+        key = (len(rays.x), len(rays.y), has_faces)
         if getattr(self._local, "key", None) != key or self._local.table is not self._table:
             self._local.key = key
             self._local.table = self._table
             self._local.canvas = make_canvas(
-                lens, self._table, self._faces, self._blocks, has_faces
+                rays, self._table, self._faces, self._blocks, has_faces
             )
         canvas: Canvas = self._local.canvas
         return canvas

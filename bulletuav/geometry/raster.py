@@ -65,8 +65,13 @@ View = tuple[Vec3, Vec3, Vec3, Vec3]
 Rectangle = tuple[int, int, int, int]
 """First row, last row, first column and last column of pixels; empty if a first is above a last."""
 
+BoxAxis = tuple[float, float, float, float, float, float]
+"""Components along one axis: eye, low and high corner of a box, forward, left and up."""
+Counts = tuple[int, int]
+"""Number of front planes and of silhouette edges of a solid."""
 
-class Lens(NamedTuple):
+
+class PixelRays(NamedTuple):
     """Directions of the rays through the pixels of a picture: forward + x left + y up.
 
     Attributes:
@@ -147,7 +152,7 @@ class Images(NamedTuple):
     colours: np.ndarray
 
 
-def make_lens(width: int, height: int, field_of_view: float) -> Lens:
+def make_pixel_rays(width: int, height: int, field_of_view: float) -> PixelRays:
     """Return the rays of a picture, through the upper left corners of its pixels.
 
     The centre of projection is in column width / 2 and row height / 2 - 1.
@@ -161,19 +166,19 @@ def make_lens(width: int, height: int, field_of_view: float) -> Lens:
         The rays.
     """
     half = math.tan(math.radians(field_of_view) / 2)
-    return Lens(
+    return PixelRays(
         x=half * width / height * (1 - 2 * np.arange(width) / width),
         y=half * (1 - 2 * (np.arange(height) + 1) / height),
     )
 
 
 def make_canvas(
-    lens: Lens, table: ShapeTable, faces: Faces, blocks: ViewBlocks, has_faces: bool
+    rays: PixelRays, table: ShapeTable, faces: Faces, blocks: ViewBlocks, has_faces: bool
 ) -> Canvas:
     """Allocate the memory for drawing pictures.
 
     Args:
-        lens: Rays of the pictures.
+        rays: Rays of the pictures.
         table: Shapes of the worlds.
         faces: Their faces.
         blocks: Blocks of the city layouts.
@@ -182,7 +187,7 @@ def make_canvas(
     Returns:
         The memory.
     """
-    width, height = len(lens.x), len(lens.y)
+    width, height = len(rays.x), len(rays.y)
     tiles = (-(-height // TILE), -(-width // TILE))
     num_blocks = int(np.diff(blocks.first).max(initial=0))
     num_pieces = int(np.diff(blocks.piece_first).max(initial=0))
@@ -248,46 +253,49 @@ def _is_inside(place: Vec3, low: Vec3, high: Vec3) -> bool:
 
 
 @func
-def _depth_bounds(forward: Vec3, low: Vec3, high: Vec3) -> tuple[float, float]:
-    """Return minimum and maximum depth of a box between corners relative to the eye, m."""
-    nearest = 0.0
-    farthest = 0.0
-    for k in range(3):
-        one = forward[k] * low[k]
-        two = forward[k] * high[k]
-        nearest += min(one, two)
-        farthest += max(one, two)
-    return nearest, farthest
+def _largest_dot(normal: Vec3, low: Vec3, high: Vec3) -> float:
+    """Return the largest dot product of a vector with a point of a box."""
+    return (
+        max(normal[0] * low[0], normal[0] * high[0])
+        + max(normal[1] * low[1], normal[1] * high[1])
+        + max(normal[2] * low[2], normal[2] * high[2])
+    )
 
 
 @func
-def _is_beside(view: View, lens: Lens, low: Vec3, high: Vec3) -> bool:
-    """Return True if a box is beyond one of the four sides of the view.
+def _sum(a: float, u: Vec3, b: float, v: Vec3) -> Vec3:
+    """Return the vector a u + b v."""
+    return a * u[0] + b * v[0], a * u[1] + b * v[1], a * u[2] + b * v[2]
 
-    Its corners are relative to the eye.
-    """
+
+@func
+def _is_in_view(rays: PixelRays, view: View, low: Vec3, high: Vec3) -> bool:
+    """Return True if a box may be in view; its corners are relative to the eye."""
     _, forward, left, up = view
-    for side in range(4):
-        limit = lens.x[0] if side < 2 else -lens.y[lens.y.shape[0] - 1]
-        sign = 1.0 if side % 2 == 0 else -1.0
-        # Height of the farthest corner above the plane of the side, inwards
-        inside = 0.0
-        for k in range(3):
-            across = left[k] if side < 2 else up[k]
-            normal = limit * forward[k] + sign * across
-            inside += max(normal * low[k], normal * high[k])
-        if inside < 0.0:
-            return True
-    return False
+    # Written so that an eye that is not finite sees nothing
+    if not _largest_dot(forward, low, high) > 0.0:
+        return False
+    nearest = -_largest_dot(_sum(-1.0, forward, 0.0, forward), low, high)
+    if not nearest < FAR:
+        return False
+    # The box is out of view if it is beyond one of the four sides.
+    x = rays.x[0]
+    y = -rays.y[rays.y.shape[0] - 1]
+    return (
+        _largest_dot(_sum(x, forward, 1.0, left), low, high) >= 0.0
+        and _largest_dot(_sum(x, forward, -1.0, left), low, high) >= 0.0
+        and _largest_dot(_sum(y, forward, 1.0, up), low, high) >= 0.0
+        and _largest_dot(_sum(y, forward, -1.0, up), low, high) >= 0.0
+    )
 
 
 @kernel
-def _cover_box(view: View, lens: Lens, low: Vec3, high: Vec3) -> tuple[Rectangle, float]:
+def _cover_box(view: View, rays: PixelRays, low: Vec3, high: Vec3) -> tuple[Rectangle, float]:
     """Return the rectangle of pixels that may show a box, and an upper bound of 1/t.
 
     Args:
         view: Eye and axes of the camera, in the axes of the box.
-        lens: Rays of the picture.
+        rays: Rays of the picture.
         low: Corner of minimum coordinates, m.
         high: Corner of maximum coordinates, m.
 
@@ -295,8 +303,8 @@ def _cover_box(view: View, lens: Lens, low: Vec3, high: Vec3) -> tuple[Rectangle
         The rectangle, empty if the box is out of view, and the bound.
     """
     eye, forward, left, up = view
-    width = lens.x.shape[0]
-    height = lens.y.shape[0]
+    width = rays.x.shape[0]
+    height = rays.y.shape[0]
     nothing = (0, -1, 0, -1)
     everything = (0, height - 1, 0, width - 1)
     # From its surface, even rays that point away from the box hit it
@@ -304,10 +312,9 @@ def _cover_box(view: View, lens: Lens, low: Vec3, high: Vec3) -> tuple[Rectangle
         return everything, np.inf
     low = minus(low, eye)
     high = minus(high, eye)
-    nearest, farthest = _depth_bounds(forward, low, high)
-    # Written so that an eye that is not finite sees nothing
-    if not (farthest > 0.0 and nearest < FAR) or _is_beside(view, lens, low, high):
+    if not _is_in_view(rays, view, low, high):
         return nothing, 0.0
+    nearest = -_largest_dot(_sum(-1.0, forward, 0.0, forward), low, high)
     if nearest <= NEAREST:
         return everything, np.inf
     # Project the corners
@@ -326,9 +333,9 @@ def _cover_box(view: View, lens: Lens, low: Vec3, high: Vec3) -> tuple[Rectangle
         left_x = max(left_x, across)
         low_y = min(low_y, rise)
         high_y = max(high_y, rise)
-    # Columns and rows from x and y: the inverse of `make_lens`
-    half_x = lens.x[0]
-    half_y = -lens.y[height - 1]
+    # Columns and rows from x and y: the inverse of `make_pixel_rays`
+    half_x = rays.x[0]
+    half_y = -rays.y[height - 1]
     first_u = max(0.5 * width * (1.0 - left_x / half_x) - SLACK, 0.0)
     last_u = min(0.5 * width * (1.0 - right_x / half_x) + SLACK, width - 1.0)
     first_v = max(0.5 * height * (1.0 - high_y / half_y) - 1.0 - SLACK, 0.0)
@@ -352,13 +359,13 @@ def _is_empty(rectangle: Rectangle) -> bool:
 
 
 @func
-def _add_edge(canvas: Canvas, lens: Lens, number: int, a: float, b: float, c: float) -> int:
+def _add_edge(canvas: Canvas, rays: PixelRays, number: int, a: float, b: float, c: float) -> int:
     """Add the silhouette edge whose inner side is a + b x + c y >= 0; return the new number."""
     # x and y are linear in the column u and the row v
-    height = lens.y.shape[0]
-    step_x = -2.0 * lens.x[0] / lens.x.shape[0]
-    step_y = 2.0 * lens.y[height - 1] / height
-    first = a + b * lens.x[0] + c * lens.y[0]
+    height = rays.y.shape[0]
+    step_x = -2.0 * rays.x[0] / rays.x.shape[0]
+    step_y = 2.0 * rays.y[height - 1] / height
+    first = a + b * rays.x[0] + c * rays.y[0]
     slope = b * step_x
     rise = c * step_y
     # Rays through an edge, but for rounding, meet the solid: no gap is left between two solids
@@ -393,7 +400,7 @@ def _find_span(canvas: Canvas, edges: int, v: int, first: int, last: int) -> tup
     return math.ceil(low), math.floor(high)
 
 
-@kernel
+@func
 def _fill_one(
     canvas: Canvas, x: np.ndarray, v: int, first: int, last: int, a: float, b: float, face: int
 ) -> None:
@@ -414,7 +421,7 @@ def _fill_one(
         inverse[v, u] = z if is_shown else old
 
 
-@kernel
+@func
 def _fill_two(
     canvas: Canvas,
     x: np.ndarray,
@@ -449,7 +456,7 @@ def _fill_two(
         inverse[v, u] = z if is_shown else old
 
 
-@kernel
+@func
 def _fill_many(
     canvas: Canvas, x: np.ndarray, v: int, first: int, last: int, planes: int, y: float
 ) -> None:
@@ -489,7 +496,9 @@ def _fill_many(
 
 
 @kernel
-def _fill_spans(canvas: Canvas, lens: Lens, rectangle: Rectangle, planes: int, edges: int) -> None:
+def _fill_spans(
+    canvas: Canvas, rays: PixelRays, rectangle: Rectangle, planes: int, edges: int
+) -> None:
     """Draw a solid from its front planes and silhouette edges in `canvas`."""
     first_row, last_row, first_column, last_column = rectangle
     plane = canvas.plane
@@ -497,16 +506,16 @@ def _fill_spans(canvas: Canvas, lens: Lens, rectangle: Rectangle, planes: int, e
         first, last = _find_span(canvas, edges, v, first_column, last_column)
         if first > last:
             continue
-        y = lens.y[v]
+        y = rays.y[v]
         a = plane[0, 0] + plane[0, 2] * y
         if planes == 1:
-            _fill_one(canvas, lens.x, v, first, last, a, plane[0, 1], canvas.plane_face[0])
+            _fill_one(canvas, rays.x, v, first, last, a, plane[0, 1], canvas.plane_face[0])
         elif planes == 2:
             one = (a, plane[0, 1], canvas.plane_face[0])
             two = (plane[1, 0] + plane[1, 2] * y, plane[1, 1], canvas.plane_face[1])
-            _fill_two(canvas, lens.x, v, first, last, one, two)
+            _fill_two(canvas, rays.x, v, first, last, one, two)
         else:
-            _fill_many(canvas, lens.x, v, first, last, planes, y)
+            _fill_many(canvas, rays.x, v, first, last, planes, y)
 
 
 @func
@@ -526,11 +535,11 @@ def _show(canvas: Canvas, v: int, u: int, enters: float, leaves: float, face: in
 
 
 @func
-def _ray(lens: Lens, view: View, v: int, u: int) -> Vec3:
+def _ray(rays: PixelRays, view: View, v: int, u: int) -> Vec3:
     """Return the vector from the eye to the point at depth FAR of a pixel's ray, m."""
     _, forward, left, up = view
-    x = lens.x[u]
-    y = lens.y[v]
+    x = rays.x[u]
+    y = rays.y[v]
     return (
         FAR * (forward[0] + x * left[0] + y * up[0]),
         FAR * (forward[1] + x * left[1] + y * up[1]),
@@ -540,19 +549,25 @@ def _ray(lens: Lens, view: View, v: int, u: int) -> Vec3:
 
 @kernel
 def _cast_at_box(
-    canvas: Canvas, lens: Lens, rectangle: Rectangle, view: View, low: Vec3, high: Vec3, face: int
+    canvas: Canvas,
+    rays: PixelRays,
+    rectangle: Rectangle,
+    view: View,
+    low: Vec3,
+    high: Vec3,
+    face: int,
 ) -> None:
     """Draw a box by casting the rays of a rectangle of pixels; see `_draw_box`."""
     for v in range(rectangle[0], rectangle[1] + 1):
         for u in range(rectangle[2], rectangle[3] + 1):
-            enters, leaves = intersect_box(view[0], _ray(lens, view, v, u), low, high)
+            enters, leaves = intersect_box(view[0], _ray(rays, view, v, u), low, high)
             _show(canvas, v, u, enters, leaves, face)
 
 
 @kernel
 def _cast_at_shape(
     canvas: Canvas,
-    lens: Lens,
+    rays: PixelRays,
     rectangle: Rectangle,
     view: View,
     table: ShapeTable,
@@ -563,62 +578,84 @@ def _cast_at_shape(
     """Draw a shape by casting the rays of a rectangle of pixels; see `_draw_shape`."""
     for v in range(rectangle[0], rectangle[1] + 1):
         for u in range(rectangle[2], rectangle[3] + 1):
-            enters, leaves = intersect_shape(table, s, view[0], _ray(lens, view, v, u))
+            enters, leaves = intersect_shape(table, s, view[0], _ray(rays, view, v, u))
             # Drones are hit from outside only
             if enters >= 0.0 or not is_drone:
                 _show(canvas, v, u, enters, leaves, face)
 
 
+@func
+def _add_box_face(
+    canvas: Canvas, rays: PixelRays, face: int, j: BoxAxis, k: BoxAxis, m: BoxAxis, counts: Counts
+) -> Counts:
+    """Add the front plane of a box along axis j, if there is one, and its silhouette edges."""
+    planes, edges = counts
+    eye, low, high, forward, left, up = j
+    # Between both planes of the axis, or in one of them, the eye sees neither.
+    is_below = eye < low
+    if not (is_below or eye > high):
+        return planes, edges
+    sign = 1.0 if is_below else -1.0
+    distance = low - eye if is_below else eye - high
+    scale = FAR * sign / distance
+    canvas.plane[planes, 0] = forward * scale
+    canvas.plane[planes, 1] = left * scale
+    canvas.plane[planes, 2] = up * scale
+    canvas.plane_face[planes] = face if is_below else face + 1
+    for other in range(2):
+        eye, low, high, forward2, left2, up2 = k if other == 0 else m
+        for end in range(2):
+            to_back = high - eye if end else eye - low
+            if to_back < 0.0:
+                continue
+            # The ray meets the front plane before the back plane. Both sides are multiplied by the
+            # distances, so that an eye in a back plane needs no division by zero.
+            mine = sign * to_back
+            its = distance if end else -distance
+            edges = _add_edge(
+                canvas,
+                rays,
+                edges,
+                forward * mine - forward2 * its,
+                left * mine - left2 * its,
+                up * mine - up2 * its,
+            )
+    return planes + 1, edges
+
+
+@func
+def _box_axis(view: View, low: Vec3, high: Vec3, k: int) -> BoxAxis:
+    """Return the components of a camera and a box along axis k."""
+    return view[0][k], low[k], high[k], view[1][k], view[2][k], view[3][k]
+
+
 @kernel
 def _draw_box(
-    canvas: Canvas, lens: Lens, rectangle: Rectangle, view: View, low: Vec3, high: Vec3, face: int
+    canvas: Canvas,
+    rays: PixelRays,
+    rectangle: Rectangle,
+    view: View,
+    low: Vec3,
+    high: Vec3,
+    face: int,
 ) -> None:
     """Draw a box whose faces have the ids from `face`, to a camera in the axes of the box."""
-    eye, forward, left, up = view
-    planes = 0
-    edges = 0
-    for j in range(3):
-        # Between both planes of an axis, or in one of them, the eye sees neither.
-        is_below = eye[j] < low[j]
-        if not (is_below or eye[j] > high[j]):
-            continue
-        sign = 1.0 if is_below else -1.0
-        distance = low[j] - eye[j] if is_below else eye[j] - high[j]
-        scale = FAR * sign / distance
-        canvas.plane[planes, 0] = forward[j] * scale
-        canvas.plane[planes, 1] = left[j] * scale
-        canvas.plane[planes, 2] = up[j] * scale
-        canvas.plane_face[planes] = face + 2 * j + (0 if is_below else 1)
-        planes += 1
-        # The ray meets this plane before each back plane of the other axes. Both sides are
-        # multiplied by the distances, so that an eye in a back plane needs no division by zero.
-        for k in range(3):
-            if k == j:
-                continue
-            for end in range(2):
-                to_back = high[k] - eye[k] if end else eye[k] - low[k]
-                if to_back < 0.0:
-                    continue
-                mine = sign * to_back
-                other = distance if end else -distance
-                edges = _add_edge(
-                    canvas,
-                    lens,
-                    edges,
-                    forward[j] * mine - forward[k] * other,
-                    left[j] * mine - left[k] * other,
-                    up[j] * mine - up[k] * other,
-                )
-    if planes == 0:
-        _cast_at_box(canvas, lens, rectangle, view, low, high, face)
+    x = _box_axis(view, low, high, 0)
+    y = _box_axis(view, low, high, 1)
+    z = _box_axis(view, low, high, 2)
+    counts = _add_box_face(canvas, rays, face, x, y, z, (0, 0))
+    counts = _add_box_face(canvas, rays, face + 2, y, x, z, counts)
+    counts = _add_box_face(canvas, rays, face + 4, z, x, y, counts)
+    if counts[0] == 0:
+        _cast_at_box(canvas, rays, rectangle, view, low, high, face)
     else:
-        _fill_spans(canvas, lens, rectangle, planes, edges)
+        _fill_spans(canvas, rays, rectangle, counts[0], counts[1])
 
 
 @kernel
 def _draw_hull(
     canvas: Canvas,
-    lens: Lens,
+    rays: PixelRays,
     rectangle: Rectangle,
     view: View,
     table: ShapeTable,
@@ -646,7 +683,7 @@ def _draw_hull(
             canvas.plane_face[planes] = faces.first[s] + f - first
             planes += 1
     if planes == 0 or faces.edge_range[s, 0] == faces.edge_range[s, 1]:
-        _cast_at_shape(canvas, lens, rectangle, view, table, s, faces.first[s], is_drone)
+        _cast_at_shape(canvas, rays, rectangle, view, table, s, faces.first[s], is_drone)
         return
     edges = 0
     for e in range(faces.edge_range[s, 0], faces.edge_range[s, 1]):
@@ -662,19 +699,19 @@ def _draw_hull(
             m = point(normal, back)
             edges = _add_edge(
                 canvas,
-                lens,
+                rays,
                 edges,
                 of_back * dot(n, forward) - of_front * dot(m, forward),
                 of_back * dot(n, left) - of_front * dot(m, left),
                 of_back * dot(n, up) - of_front * dot(m, up),
             )
-    _fill_spans(canvas, lens, rectangle, planes, edges)
+    _fill_spans(canvas, rays, rectangle, planes, edges)
 
 
 @kernel
 def _draw_posed_shape(
     canvas: Canvas,
-    lens: Lens,
+    rays: PixelRays,
     view: View,
     table: ShapeTable,
     faces: Faces,
@@ -699,22 +736,22 @@ def _draw_posed_shape(
     half = point(table.half, s)
     low = minus(centre, half)
     high = (centre[0] + half[0], centre[1] + half[1], centre[2] + half[2])
-    rectangle, bound = _cover_box(body_view, lens, low, high)
+    rectangle, bound = _cover_box(body_view, rays, low, high)
     if _is_empty(rectangle) or _is_hidden(canvas, rectangle, bound):
         return
     kind = table.kind[s]
     face = faces.first[s]
     if kind == HULL:
-        _draw_hull(canvas, lens, rectangle, body_view, table, faces, s, is_drone)
+        _draw_hull(canvas, rays, rectangle, body_view, table, faces, s, is_drone)
     elif kind != BOX or (is_drone and _is_inside(body_view[0], low, high)):
-        _cast_at_shape(canvas, lens, rectangle, body_view, table, s, face, is_drone)
+        _cast_at_shape(canvas, rays, rectangle, body_view, table, s, face, is_drone)
     else:
-        _draw_box(canvas, lens, rectangle, body_view, low, high, face)
+        _draw_box(canvas, rays, rectangle, body_view, low, high, face)
     _mark_stale(canvas, rectangle)
 
 
 @kernel
-def _draw_ground(canvas: Canvas, lens: Lens, view: View) -> None:
+def _draw_ground(canvas: Canvas, rays: PixelRays, view: View) -> None:
     """Start a picture with the ground and the sky."""
     eye, forward, left, up = view
     has_faces = canvas.face.size > 0
@@ -724,17 +761,17 @@ def _draw_ground(canvas: Canvas, lens: Lens, view: View) -> None:
     is_off_ground = eye[2] != 0.0
     scale = -FAR / eye[2] if is_off_ground else 1.0
     b = left[2] * scale
-    for v in range(lens.y.shape[0]):
-        a = forward[2] * scale + up[2] * scale * lens.y[v]
+    for v in range(rays.y.shape[0]):
+        a = forward[2] * scale + up[2] * scale * rays.y[v]
         if not is_off_ground:
-            for u in range(lens.x.shape[0]):
-                inverse[v, u] = np.inf if a + b * lens.x[u] != 0.0 else 1.0
+            for u in range(rays.x.shape[0]):
+                inverse[v, u] = np.inf if a + b * rays.x[u] != 0.0 else 1.0
         else:
-            for u in range(lens.x.shape[0]):
-                z = a + b * lens.x[u]
+            for u in range(rays.x.shape[0]):
+                z = a + b * rays.x[u]
                 inverse[v, u] = z if z > 1.0 else 1.0
         if has_faces:
-            for u in range(lens.x.shape[0]):
+            for u in range(rays.x.shape[0]):
                 canvas.face[v, u] = GROUND_FACE if inverse[v, u] > 1.0 else SKY_FACE
     for i in range(canvas.is_stale.shape[0]):
         for j in range(canvas.is_stale.shape[1]):
@@ -767,7 +804,7 @@ def _insert(key: np.ndarray, order: np.ndarray, count: int, new_key: float, new:
 @kernel
 def _draw_city(
     canvas: Canvas,
-    lens: Lens,
+    rays: PixelRays,
     view: View,
     layout: int,
     low: np.ndarray,
@@ -782,15 +819,16 @@ def _draw_city(
     eye = view[0]
     count = 0
     for k in range(blocks.first[layout], blocks.first[layout + 1]):
-        rectangle, _ = _cover_box(view, lens, point(blocks.low, k), point(blocks.high, k))
-        if not _is_empty(rectangle):
-            distance = _squared_distance(eye, blocks.low, blocks.high, k)
+        distance = _squared_distance(eye, blocks.low, blocks.high, k)
+        here = minus(point(blocks.low, k), eye)
+        there = minus(point(blocks.high, k), eye)
+        if distance == 0.0 or _is_in_view(rays, view, here, there):
             _insert(canvas.key, canvas.order, count, distance, k)
             count += 1
     for n in range(count):
         k = canvas.order[n]
-        rectangle, bound = _cover_box(view, lens, point(blocks.low, k), point(blocks.high, k))
-        if _is_hidden(canvas, rectangle, bound):
+        rectangle, bound = _cover_box(view, rays, point(blocks.low, k), point(blocks.high, k))
+        if _is_empty(rectangle) or _is_hidden(canvas, rectangle, bound):
             continue
         start = blocks.piece_first[k]
         pieces = blocks.piece_first[k + 1] - start
@@ -800,16 +838,16 @@ def _draw_city(
             _insert(canvas.piece_key, canvas.piece_order, m, distance, p)
         for m in range(pieces):
             p = canvas.piece_order[m]
-            rectangle, bound = _cover_box(view, lens, point(low, p), point(high, p))
+            rectangle, bound = _cover_box(view, rays, point(low, p), point(high, p))
             if _is_empty(rectangle) or _is_hidden(canvas, rectangle, bound):
                 continue
             s = first_piece + p
             if table.kind[s] == HULL:
                 shifted = (minus(eye, point(piece_place, p)), view[1], view[2], view[3])
-                _draw_hull(canvas, lens, rectangle, shifted, table, faces, s, False)
+                _draw_hull(canvas, rays, rectangle, shifted, table, faces, s, False)
             else:
                 face = faces.first[s]
-                _draw_box(canvas, lens, rectangle, view, point(low, p), point(high, p), face)
+                _draw_box(canvas, rays, rectangle, view, point(low, p), point(high, p), face)
             _mark_stale(canvas, rectangle)
 
 
@@ -831,12 +869,12 @@ def _write_labels(canvas: Canvas, faces: Faces, labels: np.ndarray, c: int) -> N
 
 @kernel
 def _write_colours(
-    canvas: Canvas, lens: Lens, view: View, colour: np.ndarray, colours: np.ndarray, c: int
+    canvas: Canvas, rays: PixelRays, view: View, colour: np.ndarray, colours: np.ndarray, c: int
 ) -> None:
     """Write the colours of a picture: that of each face, and a checkered ground that fades."""
     eye, forward, left, up = view
     for v in range(colours.shape[1]):
-        y = lens.y[v]
+        y = rays.y[v]
         ahead = (forward[0] + y * up[0], forward[1] + y * up[1])
         for u in range(colours.shape[2]):
             f = canvas.face[v, u]
@@ -845,8 +883,8 @@ def _write_colours(
             blue = colour[f, 2]
             if f == GROUND_FACE:
                 depth = FAR / canvas.inverse[v, u]
-                x = eye[0] + depth * (ahead[0] + lens.x[u] * left[0])
-                y0 = eye[1] + depth * (ahead[1] + lens.x[u] * left[1])
+                x = eye[0] + depth * (ahead[0] + rays.x[u] * left[0])
+                y0 = eye[1] + depth * (ahead[1] + rays.x[u] * left[1])
                 column = math.floor(x / CHECKER_SIDE)
                 row = math.floor(y0 / CHECKER_SIDE)
                 if (column + row) & 1:
@@ -862,7 +900,7 @@ def _write_colours(
 @kernel
 def draw_pictures(
     cameras: Cameras,
-    lens: Lens,
+    rays: PixelRays,
     scenery: Scenery,
     blocks: ViewBlocks,
     faces: Faces,
@@ -876,7 +914,7 @@ def draw_pictures(
 
     Args:
         cameras: Cameras in any of the W worlds.
-        lens: Rays of each picture.
+        rays: Rays of each picture.
         scenery: Shapes and poses in each world.
         blocks: Blocks of its city layouts.
         faces: Faces of its shapes.
@@ -902,11 +940,11 @@ def draw_pictures(
             )
         )
         view = (point(cameras.eye, c), forward, left, up)
-        _draw_ground(canvas, lens, view)
+        _draw_ground(canvas, rays, view)
         if layouts[w] != NO_LAYOUT:
             _draw_city(
                 canvas,
-                lens,
+                rays,
                 view,
                 layouts[w],
                 low,
@@ -921,15 +959,15 @@ def draw_pictures(
             place = vec3(scenery.place, w, r)
             quaternion = quat4(scenery.quaternion, w, r)
             s = scenery.first_body + r
-            _draw_posed_shape(canvas, lens, view, table, faces, s, place, quaternion, False)
+            _draw_posed_shape(canvas, rays, view, table, faces, s, place, quaternion, False)
         for i in range(mask.shape[1]):
             if mask[w, i] and i != cameras.drone[c]:
                 place = vec3(swarm.position, w, i)
                 quaternion = quat4(swarm.quaternion, w, i)
-                _draw_posed_shape(canvas, lens, view, table, faces, i, place, quaternion, True)
+                _draw_posed_shape(canvas, rays, view, table, faces, i, place, quaternion, True)
         if images.depth.shape[0] > 0:
             _write_depth(canvas, images.depth, cameras.slot[c])
         if images.labels.shape[0] > 0:
             _write_labels(canvas, faces, images.labels, cameras.slot[c])
         if images.colours.shape[0] > 0:
-            _write_colours(canvas, lens, view, colour, images.colours, cameras.slot[c])
+            _write_colours(canvas, rays, view, colour, images.colours, cameras.slot[c])

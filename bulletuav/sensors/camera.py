@@ -7,7 +7,7 @@ import numpy as np
 from bulletuav.compiled.kernel import kernel
 from bulletuav.engine.calls import require_bullet
 from bulletuav.engine.engine import Engine
-from bulletuav.geometry.raster import Cameras, Images, make_lens
+from bulletuav.geometry.raster import Cameras, Images, make_pixel_rays
 from bulletuav.geometry.raycast import Poses
 from bulletuav.geometry.rotation import axes, plus, quat4, vec3
 from bulletuav.geometry.view import DRONE, FAR, SKY, projection_matrix, view_matrix
@@ -72,7 +72,7 @@ class Camera(Sensor):
         self.needs_bodies = setup.camera == "bullet"
         if self.needs_bodies:
             require_bullet("camera 'bullet'")
-        self._lens = make_lens(width, height, FIELD_OF_VIEW)
+        self._rays = make_pixel_rays(width, height, FIELD_OF_VIEW)
         count = setup.shape[0] * setup.shape[1]
         index = (np.zeros(count, dtype=np.int64) for _ in range(3))
         self._cameras = Cameras(
@@ -115,7 +115,7 @@ class Camera(Sensor):
         }
         self.engine.pictures(
             cameras,
-            self._lens,
+            self._rays,
             Images(images["depth"], images["segmentation"], images["rgb"]),
             (swarm, mask),
         )

@@ -11,13 +11,13 @@ import bulletuav
 from bulletuav.city.generator import generate
 from bulletuav.engine.engine import Engine
 from bulletuav.geometry.obstacle import Obstacle
-from bulletuav.geometry.raster import Cameras, Images, make_lens
+from bulletuav.geometry.raster import Cameras, Images, make_pixel_rays
 from bulletuav.geometry.rotation import axes, from_euler, to_world
 from bulletuav.geometry.solids import Solids
 from bulletuav.geometry.view import BUILDING, DRONE, FAR, LAND, OBSTACLE, SKY
 from bulletuav.vehicle.swarm import Swarm
 
-LENS = make_lens(48, 36, 90.0)
+LENS = make_pixel_rays(48, 36, 90.0)
 SHIFT = 1e-9
 """Change of a ray's direction next to the ray, for rays that go exactly through an edge"""
 TETRAHEDRON = [(0.0, 0.0, 0.0), (6.0, 0.0, 0.0), (0.0, 6.0, 0.0), (0.0, 0.0, 6.0)]
@@ -217,7 +217,7 @@ def test_eyes_in_the_planes_of_walls_and_roofs():
         pairs = list(itertools.product(eyes, turns))
         eye, quaternion = zip(*pairs, strict=True)
         cameras = cameras_of([0] * len(pairs), eye, quaternion)
-        through_edges, images = compare(engine, cameras, lens=make_lens(24, 18, 90.0))
+        through_edges, images = compare(engine, cameras, lens=make_pixel_rays(24, 18, 90.0))
         edges += through_edges
         pixels += images.depth.size
         engine.close()
