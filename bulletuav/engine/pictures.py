@@ -67,7 +67,7 @@ class PictureMaker:
         shade = HUE_STEP * (shape % HUE_STEPS - HUE_STEPS // 2)
         is_varied = np.isin(self._faces.labels[2:], (BUILDING, OBSTACLE))
         colour[2:] += np.where(is_varied, shade, 0.0)[:, None]
-        self._colour = np.clip(colour * light[:, None], 0, 255)
+        self._colour = np.clip(colour * light[:, None], 0, 255).astype(np.uint8)
 
     def draw(
         self,

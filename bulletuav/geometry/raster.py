@@ -42,7 +42,7 @@ from bulletuav.geometry.rotation import (
 )
 from bulletuav.geometry.scenery import Scenery
 from bulletuav.geometry.shapes import BOX, HULL, intersect_box
-from bulletuav.geometry.view import FAR
+from bulletuav.geometry.view import BUILDING, DRONE, FAR, LAND, OBSTACLE, SKY
 from bulletuav.geometry.view_blocks import GROUND_FACE, SKY_FACE, Faces, ViewBlocks
 
 TILE = 8
@@ -860,11 +860,25 @@ def _write_depth(canvas: Canvas, depth: np.ndarray, c: int) -> None:
 
 
 @kernel
-def _write_labels(canvas: Canvas, faces: Faces, labels: np.ndarray, c: int) -> None:
-    """Write the labels of a picture."""
+def _write_labels(
+    canvas: Canvas, first_obstacle: int, first_building: int, labels: np.ndarray, c: int
+) -> None:
+    """Write the labels of a picture.
+
+    Args:
+        canvas: The picture.
+        first_obstacle: First id of the faces of bodies, which follow those of drones.
+        first_building: First id of the faces of the city's pieces.
+        labels: (P, height, width) labels; written.
+        c: Index of the picture.
+    """
     for v in range(labels.shape[1]):
         for u in range(labels.shape[2]):
-            labels[c, v, u] = faces.labels[canvas.face[v, u]]
+            face = canvas.face[v, u]
+            label = BUILDING if face >= first_building else OBSTACLE
+            label = DRONE if face < first_obstacle else label
+            label = LAND if face == GROUND_FACE else label
+            labels[c, v, u] = SKY if face == SKY_FACE else label
 
 
 @kernel
@@ -873,28 +887,21 @@ def _write_colours(
 ) -> None:
     """Write the colours of a picture: that of each face, and a checkered ground that fades."""
     eye, forward, left, up = view
+    scale = 1.0 / CHECKER_SIDE
     for v in range(colours.shape[1]):
         y = rays.y[v]
         ahead = (forward[0] + y * up[0], forward[1] + y * up[1])
         for u in range(colours.shape[2]):
-            f = canvas.face[v, u]
-            red = colour[f, 0]
-            green = colour[f, 1]
-            blue = colour[f, 2]
-            if f == GROUND_FACE:
+            face = canvas.face[v, u]
+            darker = 0
+            if face == GROUND_FACE:
                 depth = FAR / canvas.inverse[v, u]
-                x = eye[0] + depth * (ahead[0] + rays.x[u] * left[0])
-                y0 = eye[1] + depth * (ahead[1] + rays.x[u] * left[1])
-                column = math.floor(x / CHECKER_SIDE)
-                row = math.floor(y0 / CHECKER_SIDE)
+                column = math.floor(scale * (eye[0] + depth * (ahead[0] + rays.x[u] * left[0])))
+                row = math.floor(scale * (eye[1] + depth * (ahead[1] + rays.x[u] * left[1])))
                 if (column + row) & 1:
-                    darker = CHECKER_CONTRAST * CHECKER_REACH / (CHECKER_REACH + depth)
-                    red -= darker
-                    green -= darker
-                    blue -= darker
-            colours[c, v, u, 0] = np.uint8(red)
-            colours[c, v, u, 1] = np.uint8(green)
-            colours[c, v, u, 2] = np.uint8(blue)
+                    darker = int(CHECKER_CONTRAST * CHECKER_REACH / (CHECKER_REACH + depth))
+            for k in range(3):
+                colours[c, v, u, k] = colour[face, k] - darker
 
 
 @kernel
@@ -918,7 +925,8 @@ def draw_pictures(
         scenery: Shapes and poses in each world.
         blocks: Blocks of its city layouts.
         faces: Faces of its shapes.
-        colour: (F, 3) float, red, green and blue of each face, from 0 to 255.
+        colour: (F, 3) uint8, red, green and blue of each face; those of the ground are above
+            CHECKER_CONTRAST.
         swarm: State of the drones.
         mask: (W, N) bool, drones that are shown.
         canvas: Memory for drawing.
@@ -968,6 +976,8 @@ def draw_pictures(
         if images.depth.shape[0] > 0:
             _write_depth(canvas, images.depth, cameras.slot[c])
         if images.labels.shape[0] > 0:
-            _write_labels(canvas, faces, images.labels, cameras.slot[c])
+            bodies = faces.first[scenery.first_body]
+            pieces = faces.first[scenery.first_piece]
+            _write_labels(canvas, bodies, pieces, images.labels, cameras.slot[c])
         if images.colours.shape[0] > 0:
             _write_colours(canvas, rays, view, colour, images.colours, cameras.slot[c])
