@@ -25,7 +25,7 @@ from bulletuav.city.generator import generate
 from bulletuav.city.statistics import Statistics
 from bulletuav.engine.calls import HAS_BULLET
 from bulletuav.engine.engine import Engine
-from bulletuav.geometry.raster import Cameras, Images, make_pixel_rays
+from bulletuav.geometry.raster import Cameras, Images
 from bulletuav.geometry.rotation import axes, from_euler
 from bulletuav.geometry.solids import Solids
 from bulletuav.geometry.view import projection_matrix, view_matrix
@@ -84,7 +84,8 @@ def make_scene(buildings: int, has_prisms: bool) -> Scene:
         turn = np.array([from_euler(*map(float, one)) for one in angles])
         swarm.position[0], swarm.quaternion[0] = eye, turn
         index = np.arange(NUM_DRONES)
-        batches.append(Cameras(np.zeros(NUM_DRONES, dtype=int), index, eye, turn, index))
+        world, tangent = np.zeros(NUM_DRONES, dtype=int), np.ones(NUM_DRONES)
+        batches.append(Cameras(world, index, eye, turn, tangent, index))
     return Scene(engine, (swarm, np.ones((1, NUM_DRONES), dtype=bool)), batches)
 
 
@@ -108,12 +109,11 @@ def blank(size: int, chosen: tuple[str, ...]) -> Images:
 
 def draw_all(scene: Scene, size: int, chosen: tuple[str, ...]) -> list[float]:
     """Draw all batches, and return the pictures per second of each."""
-    lens = make_pixel_rays(size, size, FIELD_OF_VIEW)
     images = blank(size, chosen)
     rates = []
     for cameras in scene.batches:
         start = time.process_time()
-        scene.engine.pictures(cameras, lens, images, scene.drones)
+        scene.engine.pictures(cameras, images, scene.drones)
         rates.append(NUM_DRONES / (time.process_time() - start))
     return rates
 

@@ -12,6 +12,7 @@ from bulletuav.geometry.raster import (
     PixelRays,
     draw_pictures,
     make_canvas,
+    make_pixel_rays,
 )
 from bulletuav.geometry.raycast import Poses
 from bulletuav.geometry.scenery import Scenery
@@ -73,7 +74,6 @@ class PictureMaker:
         self,
         scenery: Scenery,
         cameras: Cameras,
-        rays: PixelRays,
         images: Images,
         swarm: Poses,
         mask: np.ndarray,
@@ -81,6 +81,7 @@ class PictureMaker:
         """Draw pictures; see `Engine.pictures`."""
         if scenery.table is not self._table:
             self._set_faces(scenery)
+        rays, canvas = self._memory(images)
         draw_pictures(
             cameras,
             rays,
@@ -90,19 +91,19 @@ class PictureMaker:
             self._colour,
             swarm,
             mask,
-            self._canvas(rays, images),
+            canvas,
             images,
         )
 
-    def _canvas(self, rays: PixelRays, images: Images) -> Canvas:
+    def _memory(self, images: Images) -> tuple[PixelRays, Canvas]:
         """Return memory of the present thread for pictures of a size."""
+        height, width = images.depth.shape[1:]
         has_faces = bool(len(images.labels) or len(images.colours))
-        key = (len(rays.x), len(rays.y), has_faces)
+        key = (width, height, has_faces)
         if getattr(self._local, "key", None) != key or self._local.table is not self._table:
-            self._local.key = key
-            self._local.table = self._table
-            self._local.canvas = make_canvas(
-                rays, self._table, self._faces, self._blocks, has_faces
-            )
-        canvas: Canvas = self._local.canvas
-        return canvas
+            rays = make_pixel_rays(width, height)
+            canvas = make_canvas(rays, self._table, self._faces, self._blocks, has_faces)
+            self._local.key, self._local.table = key, self._table
+            self._local.memory = rays, canvas
+        memory: tuple[PixelRays, Canvas] = self._local.memory
+        return memory

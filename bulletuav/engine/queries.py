@@ -22,7 +22,7 @@ from bulletuav.engine.pictures import PictureMaker
 from bulletuav.engine.tiles import cover, vertical_rays, within_tile, write_surface
 from bulletuav.geometry.city_grid import make_city_grid
 from bulletuav.geometry.obstacle import Obstacle
-from bulletuav.geometry.raster import Cameras, Images, PixelRays
+from bulletuav.geometry.raster import Cameras, Images
 from bulletuav.geometry.raycast import cast_drone_rays, cast_scenery_rays
 from bulletuav.geometry.rotation import cross, to_world
 from bulletuav.geometry.scenery import Scenery, make_scenery
@@ -160,7 +160,6 @@ class EngineQueries(ABC):
     def pictures(
         self,
         cameras: Cameras,
-        rays: PixelRays,
         images: Images,
         drones: tuple[Swarm, np.ndarray] | None = None,
     ) -> None:
@@ -169,15 +168,15 @@ class EngineQueries(ABC):
         Depths are those by `cast_rays` through each pixel, except for rays exactly through edges.
 
         Args:
-            cameras: Poses of the cameras.
-            rays: Rays of each picture.
-            images: Pictures to draw; written.
+            cameras: Poses and fields of view of the cameras.
+            images: Pictures to draw; written. Those that are not drawn have no rows, but the same
+                height and width.
             drones: A swarm, and a mask (W, N) of its drones that are shown, by their collision
                 shapes.
         """
         if drones is None:
             drones = Swarm.zeros(*self.shape, 1), np.zeros(self.shape, dtype=bool)
-        self._picture_maker.draw(self._scenery, cameras, rays, images, *drones)
+        self._picture_maker.draw(self._scenery, cameras, images, *drones)
 
     def surface_below(self, position: np.ndarray, mask: np.ndarray) -> np.ndarray:
         """Find the height of the surface below drones: ground, roof or body.

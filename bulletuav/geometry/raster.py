@@ -128,6 +128,7 @@ class Cameras(NamedTuple):
         drone: (C,) drone which each camera does not show, as it carries it; -1 for none.
         eye: (C, 3) positions, m.
         quaternion: (C, 4) attitudes: the camera looks along x, with y left and z up.
+        tangent: (C,) tangents of half of the vertical fields of view.
         slot: (C,) index of each camera's pictures in `Images`.
     """
 
@@ -135,6 +136,7 @@ class Cameras(NamedTuple):
     drone: np.ndarray
     eye: np.ndarray
     quaternion: np.ndarray
+    tangent: np.ndarray
     slot: np.ndarray
 
 
@@ -152,7 +154,7 @@ class Images(NamedTuple):
     colours: np.ndarray
 
 
-def make_pixel_rays(width: int, height: int, field_of_view: float) -> PixelRays:
+def make_pixel_rays(width: int, height: int, tangent: float = 1.0) -> PixelRays:
     """Return the rays of a picture, through the upper left corners of its pixels.
 
     The centre of projection is in column width / 2 and row height / 2 - 1.
@@ -160,16 +162,14 @@ def make_pixel_rays(width: int, height: int, field_of_view: float) -> PixelRays:
     Args:
         width: Number of columns.
         height: Number of rows.
-        field_of_view: Vertical field of view, degrees.
+        tangent: Tangent of half of the vertical field of view.
 
     Returns:
         The rays.
     """
-    half = math.tan(math.radians(field_of_view) / 2)
-    return PixelRays(
-        x=half * width / height * (1 - 2 * np.arange(width) / width),
-        y=half * (1 - 2 * (np.arange(height) + 1) / height),
-    )
+    rays = PixelRays(np.empty(width), np.empty(height))
+    _set_rays(rays, tangent)
+    return rays
 
 
 def make_canvas(
@@ -209,6 +209,17 @@ def make_canvas(
         row=np.empty(width),
         row_face=np.empty(width, dtype=np.int32),
     )
+
+
+@kernel
+def _set_rays(rays: PixelRays, tangent: float) -> None:
+    """Write the rays of a camera; see `make_pixel_rays`."""
+    width = rays.x.shape[0]
+    height = rays.y.shape[0]
+    for u in range(width):
+        rays.x[u] = tangent * width / height * (1 - 2 * u / width)
+    for v in range(height):
+        rays.y[v] = tangent * (1 - 2 * (v + 1) / height)
 
 
 @func
@@ -921,7 +932,7 @@ def draw_pictures(
 
     Args:
         cameras: Cameras in any of the W worlds.
-        rays: Rays of each picture.
+        rays: Memory for the rays of a picture.
         scenery: Shapes and poses in each world.
         blocks: Blocks of its city layouts.
         faces: Faces of its shapes.
@@ -939,6 +950,7 @@ def draw_pictures(
     table = scenery.table
     for c in range(cameras.world.shape[0]):
         w = cameras.world[c]
+        _set_rays(rays, cameras.tangent[c])
         forward, left, up = axes(
             (
                 cameras.quaternion[c, 0],

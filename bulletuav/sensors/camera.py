@@ -1,22 +1,23 @@
 """Forward camera on each drone: depth, labels and colours, without Bullet unless asked for."""
 
+import math
 from collections.abc import Mapping
+from typing import ClassVar
 
 import numpy as np
 
+from bulletuav.compiled.functions import cos, sin
 from bulletuav.compiled.kernel import kernel
 from bulletuav.engine.calls import require_bullet
 from bulletuav.engine.engine import Engine
-from bulletuav.geometry.raster import Cameras, Images, make_pixel_rays
+from bulletuav.geometry.raster import Cameras, Images
 from bulletuav.geometry.raycast import Poses
 from bulletuav.geometry.rotation import axes, plus, quat4, vec3
 from bulletuav.geometry.view import DRONE, FAR, SKY, projection_matrix, view_matrix
 from bulletuav.registry import register
-from bulletuav.sensors.base import Image, Label, Moment, Sensor, SensorSetup
+from bulletuav.sensors.base import Image, Label, Moment, Sensor, SensorSetup, Uncertain
 from bulletuav.vehicle.swarm import Swarm
 
-FIELD_OF_VIEW = 90.0
-"""Vertical field of view, degrees"""
 RENDERERS = ("compiled", "bullet")
 """Values of the option `camera`"""
 RENDERED = ("rgb", "depth", "segmentation")
@@ -40,6 +41,7 @@ class Camera(Sensor):
     speed, with the visual shapes of drones and facades, and depths in single precision.
 
     Attributes:
+        fov: (W, N) vertical field of view, degrees.
         pictures: Requested images: "rgb" (W, N, height, width, 3) uint8; "segmentation" (W, N,
             height, width) uint8 (see `geometry.view.SKY`); "depth" (W, N, height, width) float32, m
             along the view axis; "ray_depth", another name of "depth".
@@ -47,6 +49,9 @@ class Camera(Sensor):
 
     name = "camera"
     gives = tuple(IMAGES)
+    uncertain: ClassVar = {"fov": Uncertain(10.0, 150.0, 90.0)}
+
+    fov: np.ndarray
 
     def labels(self, setup: SensorSetup) -> Mapping[str, tuple[Label, ...] | Image]:
         """Return the pixel types of the images."""
@@ -72,7 +77,6 @@ class Camera(Sensor):
         self.needs_bodies = setup.camera == "bullet"
         if self.needs_bodies:
             require_bullet("camera 'bullet'")
-        self._rays = make_pixel_rays(width, height, FIELD_OF_VIEW)
         count = setup.shape[0] * setup.shape[1]
         index = (np.zeros(count, dtype=np.int64) for _ in range(3))
         self._cameras = Cameras(
@@ -80,6 +84,7 @@ class Camera(Sensor):
             drone=next(index),
             eye=np.zeros((count, 3)),
             quaternion=np.zeros((count, 4)),
+            tangent=np.zeros(count),
             slot=next(index),
         )
 
@@ -100,7 +105,7 @@ class Camera(Sensor):
 
     def _draw(self, swarm: Swarm, mask: np.ndarray, due: np.ndarray) -> None:
         """Draw the pictures of all cameras that are due (W, N) in one batch."""
-        count = _place_cameras(swarm, due, self._radius, self._cameras)
+        count = _place_cameras(swarm, due, self._radius, self.fov, self._cameras)
         if not count:
             return
         cameras = Cameras(*(array[:count] for array in self._cameras))
@@ -115,16 +120,14 @@ class Camera(Sensor):
         }
         self.engine.pictures(
             cameras,
-            self._rays,
             Images(images["depth"], images["segmentation"], images["rgb"]),
             (swarm, mask),
         )
 
     def _render(self, swarm: Swarm, due: np.ndarray) -> None:
-        projection = projection_matrix(
-            self.setup.camera_size[0] / self.setup.camera_size[1], FIELD_OF_VIEW
-        )
+        aspect = self.setup.camera_size[0] / self.setup.camera_size[1]
         for w, i in due.tolist():
+            projection = projection_matrix(aspect, self.fov[w, i])
             forward, _, up = (np.array(axis) for axis in axes(swarm.quaternion[w, i]))
             eye = swarm.position[w, i] + self._radius[i] * forward
             seen = self.engine.picture(
@@ -136,13 +139,16 @@ class Camera(Sensor):
 
 
 @kernel
-def _place_cameras(swarm: Poses, due: np.ndarray, radius: np.ndarray, cameras: Cameras) -> int:
+def _place_cameras(
+    swarm: Poses, due: np.ndarray, radius: np.ndarray, fov: np.ndarray, cameras: Cameras
+) -> int:
     """Mount cameras at the front of drones.
 
     Args:
         swarm: State of the drones.
         due: (W, N) bool, drones whose cameras take a picture.
         radius: (N,) distances of the cameras from the centres of mass, m.
+        fov: (W, N) vertical fields of view, degrees.
         cameras: The cameras; written.
 
     Returns:
@@ -154,6 +160,8 @@ def _place_cameras(swarm: Poses, due: np.ndarray, radius: np.ndarray, cameras: C
             if due[w, i]:
                 quaternion = quat4(swarm.quaternion, w, i)
                 eye = plus(vec3(swarm.position, w, i), radius[i], axes(quaternion)[0])
+                half = math.radians(fov[w, i]) / 2
+                cameras.tangent[count] = sin(half) / cos(half)
                 cameras.world[count] = w
                 cameras.drone[count] = i
                 cameras.slot[count] = w * due.shape[1] + i

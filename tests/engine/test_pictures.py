@@ -17,7 +17,7 @@ from bulletuav.geometry.solids import Solids
 from bulletuav.geometry.view import BUILDING, DRONE, FAR, LAND, OBSTACLE, SKY
 from bulletuav.vehicle.swarm import Swarm
 
-LENS = make_pixel_rays(48, 36, 90.0)
+LENS = make_pixel_rays(48, 36)
 SHIFT = 1e-9
 """Change of a ray's direction next to the ray, for rays that go exactly through an edge"""
 TETRAHEDRON = [(0.0, 0.0, 0.0), (6.0, 0.0, 0.0), (0.0, 6.0, 0.0), (0.0, 0.0, 6.0)]
@@ -46,12 +46,13 @@ def cameras_of(world, eye, quaternion, drone=None):
     world = np.array(world)
     drone = np.full(len(world), -1) if drone is None else np.array(drone)
     eye, quaternion = np.array(eye, dtype=float), np.array(quaternion, dtype=float)
-    return Cameras(world, drone, eye, quaternion, np.arange(len(world)))
+    tangent = np.ones(len(world))
+    return Cameras(world, drone, eye, quaternion, tangent, np.arange(len(world)))
 
 
 def draw(engine, cameras, drones=None, lens=LENS):
     images = blank(len(cameras.world), lens)
-    engine.pictures(cameras, lens, images, drones)
+    engine.pictures(cameras, images, drones)
     return images
 
 
@@ -217,7 +218,7 @@ def test_eyes_in_the_planes_of_walls_and_roofs():
         pairs = list(itertools.product(eyes, turns))
         eye, quaternion = zip(*pairs, strict=True)
         cameras = cameras_of([0] * len(pairs), eye, quaternion)
-        through_edges, images = compare(engine, cameras, lens=make_pixel_rays(24, 18, 90.0))
+        through_edges, images = compare(engine, cameras, lens=make_pixel_rays(24, 18))
         edges += through_edges
         pixels += images.depth.size
         engine.close()
@@ -287,17 +288,33 @@ def test_pictures_do_not_depend_on_the_batch():
     for c in range(count):
         one = cameras._replace(**{k: v[c : c + 1] for k, v in cameras._asdict().items()})
         single = blank(1)
-        engine.pictures(one._replace(slot=np.array([0])), LENS, single, drones)
+        engine.pictures(one._replace(slot=np.array([0])), single, drones)
         for mine, theirs in zip(single, whole, strict=True):
             np.testing.assert_array_equal(mine[0], theirs[c])
     backward = blank(count)
-    engine.pictures(cameras._replace(slot=np.arange(count)[::-1].copy()), LENS, backward, drones)
+    engine.pictures(cameras._replace(slot=np.arange(count)[::-1].copy()), backward, drones)
     for mine, theirs in zip(backward, whole, strict=True):
         np.testing.assert_array_equal(mine[::-1], theirs)
     for k, name in enumerate(Images._fields):
         few = blank(count, **{other: other == name for other in Images._fields})
-        engine.pictures(cameras, LENS, few, drones)
+        engine.pictures(cameras, few, drones)
         np.testing.assert_array_equal(few[k], whole[k])
+    engine.close()
+
+
+def test_each_camera_has_its_field_of_view():
+    """Narrow and wide pictures of one batch are those of rays at these angles."""
+    rng = np.random.default_rng(6)
+    engine = random_engine(rng)
+    drones = random_drones(engine, rng)
+    cameras = hostile_cameras(engine, drones[0], rng)
+    tangents = (0.2, 1.0, 3.0)
+    mixed = cameras._replace(tangent=np.resize(tangents, len(cameras.world)))
+    images = draw(engine, mixed, drones)
+    for k, tangent in enumerate(tangents):
+        same = cameras._replace(tangent=np.full(len(cameras.world), tangent))
+        _, expected = compare(engine, same, drones, make_pixel_rays(48, 36, tangent))
+        np.testing.assert_array_equal(images.depth[k::3], expected.depth[k::3])
     engine.close()
 
 

@@ -1,3 +1,5 @@
+import contextlib
+
 import numpy as np
 import pytest
 import sensing
@@ -213,3 +215,36 @@ def test_cameras_that_are_not_due_hold_their_pictures():
     taken = (pictures["depth"] != FAR).any(axis=(2, 3))
     assert taken.tolist() == [[True, False], [False, False]]
     engine.close()
+
+
+@BOTH
+@pytest.mark.parametrize(("fov", "edge"), [(60.0, 1 / 3**0.5), (120.0, 3**0.5)])
+def test_the_field_of_view_is_between_the_upper_and_the_lower_edge(camera, fov, edge):
+    """The depth of the ground at the lower edge of a level picture."""
+    with contextlib.closing(
+        bulletuav.Aviary(
+            "hover",
+            observation=("depth", "segmentation"),
+            dynamics="point_mass",
+            camera=camera,
+            camera_size=SIZE,
+            randomization={"camera_fov": fov},
+        )
+    ) as aviary:
+        aviary.reset(seeds=0)
+        depth = aviary.step(np.zeros((1, 1, 3))).observations["depth"][0, 0]
+        eye = aviary.swarm.position[0, 0, 2]
+        assert depth[-1, SIZE[0] // 2] == pytest.approx(eye / edge, rel=0.03)
+
+
+def test_fields_of_view_are_drawn_in_each_episode():
+    options = {"observation": ("depth",), "camera_size": (16, 12), "num_drones": 3}
+    options |= {"dynamics": "point_mass", "randomization": {"camera_fov": (40.0, 120.0)}}
+    with contextlib.closing(bulletuav.Aviary("crossing", 2, **options)) as aviary:
+        seen = []
+        for seed in (0, 10):
+            aviary.reset(seeds=seed)
+            fov = aviary.step(np.zeros((2, 3, 3))).info["random/camera_fov"]
+            assert ((fov >= 40.0) & (fov <= 120.0)).all()
+            seen.append(np.array(fov))
+        assert len(np.unique(seen)) == 12
