@@ -112,7 +112,8 @@ def test_a_miss_by_hand():
         assert row["near_misses"] == 0
         assert row["min_separation"] == pytest.approx(8.0, abs=1e-6)
         assert row["success"] == 0  # drone 1 flies past its goal, 8 m above it, out of the arena
-        assert row["drone_success"] == 0.5
+        # The other drone reaches its goal, which is no success after a conflict
+        assert row["drone_success"] == row["safe_success"] == (0.0 if conflict else 0.5)
         assert np.isnan(row["min_time_to_conflict"]) == (not conflict)
 
 
