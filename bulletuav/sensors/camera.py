@@ -1,7 +1,7 @@
 """Forward camera on each drone: depth, labels and colours, without Bullet unless asked for."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
 import numpy as np
@@ -40,7 +40,16 @@ class Camera(Sensor):
     pixel. With the option camera="bullet", PyBullet's TinyRenderer draws them: a hundredth of the
     speed, with the visual shapes of drones and facades, and depths in single precision.
 
+    Noise of depths grows with the square of the depth, as that of stereo cameras and structured
+    light: standard deviation of a disparity, divided by focal length and baseline, times depth
+    squared. The sky has none.
+
+    References:
+        K. Khoshelham and S. Oude Elberink, Accuracy and resolution of Kinect depth data for indoor
+        mapping applications (Sensors 2012).
+
     Attributes:
+        noise: (W, N) standard deviation of a depth divided by its square, 1/m.
         fov: (W, N) vertical field of view, degrees.
         pictures: Requested images: "rgb" (W, N, height, width, 3) uint8; "segmentation" (W, N,
             height, width) uint8 (see `geometry.view.SKY`); "depth" (W, N, height, width) float32, m
@@ -49,8 +58,12 @@ class Camera(Sensor):
 
     name = "camera"
     gives = tuple(IMAGES)
-    uncertain: ClassVar = {"fov": Uncertain(10.0, 150.0, 90.0)}
+    uncertain: ClassVar = {
+        "noise": Uncertain(0.0, 1.0),
+        "fov": Uncertain(10.0, 150.0, 90.0),
+    }
 
+    noise: np.ndarray
     fov: np.ndarray
 
     def labels(self, setup: SensorSetup) -> Mapping[str, tuple[Label, ...] | Image]:
@@ -101,7 +114,21 @@ class Camera(Sensor):
             self._render(swarm, np.argwhere(due))
         else:
             self._draw(swarm, mask, due)
+        if "depth" in self._images:
+            self._add_noise(self._images["depth"], due, moment.rngs)
         return dict(self.pictures)
+
+    def _add_noise(
+        self, depth: np.ndarray, due: np.ndarray, rngs: Sequence[np.random.Generator]
+    ) -> None:
+        """Add noise to the new depths; each world draws from its own generator."""
+        for w in np.flatnonzero(due.any(axis=1) & self.noise.any(axis=1)).tolist():
+            error = rngs[w].standard_normal(depth.shape[1:], dtype=np.float32)
+            new, scale = due[w], self.noise[w].astype(np.float32)[:, None, None]
+            true = depth[w]
+            noisy = np.clip(true + scale * true * true * error, 0, FAR)
+            noisy[true == FAR] = FAR
+            depth[w][new] = noisy[new]
 
     def _draw(self, swarm: Swarm, mask: np.ndarray, due: np.ndarray) -> None:
         """Draw the pictures of all cameras that are due (W, N) in one batch."""

@@ -1,4 +1,5 @@
 import contextlib
+import dataclasses
 
 import numpy as np
 import pytest
@@ -248,3 +249,30 @@ def test_fields_of_view_are_drawn_in_each_episode():
             assert ((fov >= 40.0) & (fov <= 120.0)).all()
             seen.append(np.array(fov))
         assert len(np.unique(seen)) == 12
+
+
+def test_noise_of_depths_grows_with_their_square(photograph):
+    """On a wall and on the ground; the sky stays, and other pictures have none."""
+    engine = sensing.open_world((TOWER,))
+    swarm = sensing.swarm_of(1, 1, (0, 0, 30))
+    views = {"radius": (RADIUS,), "camera_size": SIZE, "wanted": frozenset(ALL)}
+    exact, noisy = (sensing.sensor_of(Camera, engine.shape, engine, **views) for _ in range(2))
+    noisy.noise[:] = 0.001
+    true = sensing.measure(exact, swarm, steps=0)
+    given = {"steps": 0, "rngs": [np.random.default_rng(0)]}
+    found = sensing.measure(noisy, swarm, **given)
+    error = (found["depth"] - true["depth"]) / true["depth"] ** 2
+    labels = true["segmentation"]
+    assert (found["depth"][labels == SKY] == FAR).all()
+    for label in (BUILDING, LAND):
+        chosen = (labels == label) & (true["depth"] < 100)
+        assert error[chosen].std() == pytest.approx(0.001, rel=0.1)
+        assert abs(error[chosen].mean()) < 1e-4
+    for name in ("rgb", "segmentation"):
+        np.testing.assert_array_equal(found[name], true[name])
+    # Held pictures keep their noise
+    before = found["depth"].copy()
+    noisy.setup = dataclasses.replace(noisy.setup, camera_every=2)
+    after = sensing.measure(noisy, swarm, steps=1, rngs=[np.random.default_rng(1)])
+    np.testing.assert_array_equal(after["depth"], before)
+    engine.close()
