@@ -13,8 +13,10 @@ from bulletuav.engine.engine import Engine
 from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.geometry.raster import Cameras, Images, make_pixel_rays
 from bulletuav.geometry.rotation import axes, from_euler, to_world
-from bulletuav.geometry.solids import Solids
+from bulletuav.geometry.shapes import HULL
+from bulletuav.geometry.solids import Solids, box_corners
 from bulletuav.geometry.view import BUILDING, DRONE, FAR, LAND, OBSTACLE, SKY
+from bulletuav.geometry.view_blocks import make_faces
 from bulletuav.vehicle.swarm import Swarm
 
 LENS = make_pixel_rays(48, 36)
@@ -382,4 +384,40 @@ def test_a_new_body_is_shown():
     after = draw(engine, cameras)
     assert OBSTACLE not in before.labels
     assert (after.labels == OBSTACLE).sum() > 50
+    engine.close()
+
+
+def test_edges_join_the_two_faces_that_share_their_corners():
+    """Of prisms, a tetrahedron, and a box as a hull: each pair of faces with two common corners."""
+    hulls = prisms_of(WALLS[:3], np.random.default_rng(1))
+    engine = sensing.open_world((Solids(WALLS[:1], (*hulls, box_corners(WALLS[0]))),))
+    engine.add_body(TETRAHEDRON, (0.0, 0.0, 0.0))
+    table, faces = engine.scenery.table, make_faces(engine.scenery)
+    for s in np.flatnonzero(table.kind == HULL):
+        planes = range(*table.face_range[s])
+        corners = {
+            f: set(table.face_vertices[slice(*table.face_vertex_range[f])].tolist()) for f in planes
+        }
+        pairs = itertools.combinations(planes, 2)
+        expected = {(f, g) for f, g in pairs if len(corners[f] & corners[g]) == 2}
+        found = faces.edges[slice(*faces.edge_range[s])]
+        assert {tuple(sorted(edge)) for edge in found.tolist()} == expected
+        assert len(found) == len(expected)
+    assert (np.diff(faces.edge_range)[table.kind != HULL] == 0).all()
+    engine.close()
+
+
+def test_a_hull_without_a_closed_surface_is_drawn_by_rays():
+    rng = np.random.default_rng(9)
+    engine = random_engine(rng)
+    drones = random_drones(engine, rng)
+    cameras = hostile_cameras(engine, drones[0], rng)
+    expected = draw(engine, cameras, drones)
+    table = engine.scenery.table
+    # The first face of each hull has its first corner twice
+    first, end = table.face_vertex_range[table.face_range[table.kind == HULL, 0]].T
+    table.face_vertices[end - 1] = table.face_vertices[first]
+    engine._picture_maker._set_faces(engine.scenery)
+    assert (np.diff(engine._picture_maker._faces.edge_range) == 0).all()
+    np.testing.assert_array_equal(draw(engine, cameras, drones).depth, expected.depth)
     engine.close()
