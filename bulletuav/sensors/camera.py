@@ -49,7 +49,7 @@ class Camera(Sensor):
         mapping applications (Sensors 2012).
 
     Attributes:
-        noise: (W, N) standard deviation of a depth divided by its square, 1/m.
+        depth_noise: (W, N) standard deviation of a depth divided by its square, 1/m.
         fov: (W, N) vertical field of view, degrees.
         pictures: Requested images: "rgb" (W, N, height, width, 3) uint8; "segmentation" (W, N,
             height, width) uint8 (see `geometry.view.SKY`); "depth" (W, N, height, width) float32, m
@@ -59,11 +59,11 @@ class Camera(Sensor):
     name = "camera"
     gives = tuple(IMAGES)
     uncertain: ClassVar = {
-        "noise": Uncertain(0.0, 1.0),
+        "depth_noise": Uncertain(0.0, 1.0),
         "fov": Uncertain(10.0, 150.0, 90.0),
     }
 
-    noise: np.ndarray
+    depth_noise: np.ndarray
     fov: np.ndarray
 
     def labels(self, setup: SensorSetup) -> Mapping[str, tuple[Label, ...] | Image]:
@@ -122,9 +122,9 @@ class Camera(Sensor):
         self, depth: np.ndarray, due: np.ndarray, rngs: Sequence[np.random.Generator]
     ) -> None:
         """Add noise to the new depths; each world draws from its own generator."""
-        for w in np.flatnonzero(due.any(axis=1) & self.noise.any(axis=1)).tolist():
+        for w in np.flatnonzero(due.any(axis=1) & self.depth_noise.any(axis=1)).tolist():
             error = rngs[w].standard_normal(depth.shape[1:], dtype=np.float32)
-            new, scale = due[w], self.noise[w].astype(np.float32)[:, None, None]
+            new, scale = due[w], self.depth_noise[w].astype(np.float32)[:, None, None]
             true = depth[w]
             noisy = np.clip(true + scale * true * true * error, 0, FAR)
             noisy[true == FAR] = FAR

@@ -257,7 +257,7 @@ def test_noise_of_depths_grows_with_their_square(photograph):
     swarm = sensing.swarm_of(1, 1, (0, 0, 30))
     views = {"radius": (RADIUS,), "camera_size": SIZE, "wanted": frozenset(ALL)}
     exact, noisy = (sensing.sensor_of(Camera, engine.shape, engine, **views) for _ in range(2))
-    noisy.noise[:] = 0.001
+    noisy.depth_noise[:] = 0.001
     true = sensing.measure(exact, swarm, steps=0)
     given = {"steps": 0, "rngs": [np.random.default_rng(0)]}
     found = sensing.measure(noisy, swarm, **given)
