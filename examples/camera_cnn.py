@@ -77,7 +77,7 @@ class Forest(Task):
         "max_speed": 10.0,
     }
     difficulties: ClassVar = {"easy": {"camera_size": (16, 8)}}
-    observation = ("velocity", "goal_offset", "ray_depth")
+    observation = ("velocity", "goal_offset", "depth")
     reward: ClassVar = {"progress": 0.1, "goal": 3.0, "crash": -3.0}
     arena_low = np.array([-5.0, -20.0, 0.0])
     arena_high = np.array([65.0, 20.0, 10.0])
@@ -121,7 +121,7 @@ class DepthFeatures(BaseFeaturesExtractor):
 
     def __init__(self, observation_space):
         numbers = Symlog(observation_space["vector"])
-        height, width = observation_space["ray_depth"].shape
+        height, width = observation_space["depth"].shape
         super().__init__(observation_space, numbers.features_dim + 32)
         self.numbers = numbers
         cells = 16 * -(-height // 4) * -(-width // 4)  # each convolution halves the sides
@@ -137,7 +137,7 @@ class DepthFeatures(BaseFeaturesExtractor):
 
     def forward(self, observations):
         """Return features (B, D + 32) of B observations, D of them from the vector."""
-        picture = torch.clamp(observations["ray_depth"] / CAMERA_RANGE, max=1.0)[:, None]
+        picture = torch.clamp(observations["depth"] / CAMERA_RANGE, max=1.0)[:, None]
         return torch.cat([self.numbers(observations["vector"]), self.eye(picture)], dim=1)
 
 

@@ -56,7 +56,7 @@ def test_bodies_rays_and_snapshots_have_the_same_bits_with_it(found, tmp_path):
 
 @pytest.mark.parametrize(
     "what",
-    ["dynamics", "rays", "contacts", "rgb", "render", "airspace", "airspace contacts", "airsim"],
+    ["dynamics", "rays", "contacts", "camera", "render", "airspace", "airspace contacts", "airsim"],
 )
 def test_an_error_names_reason_and_remedy(found, what):
     if what == "airsim":

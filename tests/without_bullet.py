@@ -22,6 +22,7 @@ TASKS = (
     ("crossing", "rigid_body", "extreme"),
 )
 """Task, dynamics and difficulty of the digests"""
+PICTURES = ("rgb", "depth", "segmentation", "ray_depth")
 HULL = [(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)]
 WALLS = [[(0.4, -3.0, 0.0), (1.0, 3.0, 9.0)], [(-9.0, 5.0, 0.0), (-5.0, 9.0, 4.0)]]
 
@@ -82,12 +83,12 @@ def airspace_hash(obj):
 
 
 def pictures_hash():
-    """Take depth pictures by rays, among obstacles and an added body."""
+    """Take pictures among obstacles and an added body."""
     import numpy as np
 
     import bulletuav
 
-    options = {"observation": ("velocity", "ray_depth", "lidar"), "camera_size": (12, 8)}
+    options = {"observation": ("velocity", *PICTURES, "lidar"), "camera_size": (12, 8)}
     options |= {"observation_format": "dict", "dynamics": "point_mass"}
     with contextlib.closing(bulletuav.Aviary("obstacles", 2, **options)) as aviary:
         aviary.add_body(HULL, (3.0, 3.0, 0.0))
@@ -140,7 +141,7 @@ def errors():
         "dynamics": error_of(make, "hover", dynamics="bullet"),
         "rays": error_of(make, "hover", rays="bullet", **point),
         "contacts": error_of(make, "hover", contacts="bullet"),
-        "rgb": error_of(make, "hover", observation="rgb", **point),
+        "camera": error_of(make, "hover", observation="rgb", camera="bullet", **point),
         "render": error_of(make, "hover", render_mode="rgb_array", **point),
         "airspace": error_of(bulletuav.Airspace, [(0, 0, 1)], dynamics="bullet"),
         "airspace contacts": error_of(bulletuav.Airspace, [(0, 0, 1)], contacts="bullet"),

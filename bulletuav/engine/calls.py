@@ -34,7 +34,7 @@ def _make_error(what: str, reason: str) -> ImportError:
     """Return the error for a feature that needs PyBullet."""
     return ImportError(
         f"PyBullet is needed for {what}, but cannot be imported ({reason}): use dynamics "
-        f"'rigid_body' and the observation 'ray_depth' instead, or install it by "
+        f"'rigid_body' and camera 'compiled' instead, or install it by "
         f"{install('bullet')}; it has wheels for Python 3.11 on Linux x86-64 only, elsewhere pip "
         f"compiles it for 10 to 40 minutes, which needs a C++ compiler"
     )

@@ -3,6 +3,7 @@
 import itertools
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
+from functools import cached_property
 
 import numpy as np
 
@@ -17,9 +18,11 @@ from bulletuav.engine.calls import (
     bullet,
 )
 from bulletuav.engine.in_bullet import InBullet
+from bulletuav.engine.pictures import PictureMaker
 from bulletuav.engine.tiles import cover, vertical_rays, within_tile, write_surface
 from bulletuav.geometry.city_grid import make_city_grid
 from bulletuav.geometry.obstacle import Obstacle
+from bulletuav.geometry.raster import Cameras, Images
 from bulletuav.geometry.raycast import cast_drone_rays, cast_scenery_rays
 from bulletuav.geometry.rotation import cross, to_world
 from bulletuav.geometry.scenery import Scenery, make_scenery
@@ -71,6 +74,7 @@ class EngineQueries(ABC):
             layouts=layouts,
             city_grid=self.city_grid,
         )
+        self._layouts = layouts
 
     @property
     @abstractmethod
@@ -147,6 +151,32 @@ class EngineQueries(ABC):
             swarm, mask = drones
             cast_drone_rays(fraction, start, end, world, swarm, mask, self._scenery.table)
         return fraction
+
+    @cached_property
+    def _picture_maker(self) -> PictureMaker:
+        """Rasteriser of the worlds, made when the first pictures are taken."""
+        return PictureMaker(self._scenery, self._layouts)
+
+    def pictures(
+        self,
+        cameras: Cameras,
+        images: Images,
+        drones: tuple[Swarm, np.ndarray] | None = None,
+    ) -> None:
+        """Draw the pictures of cameras in any worlds, without Bullet.
+
+        Depths are those by `cast_rays` through each pixel, except for rays exactly through edges.
+
+        Args:
+            cameras: Poses and fields of view of the cameras.
+            images: Pictures to draw; written. Those that are not drawn have no rows, but the same
+                height and width.
+            drones: A swarm, and a mask (W, N) of its drones that are shown, by their collision
+                shapes.
+        """
+        if drones is None:
+            drones = Swarm.zeros(*self.shape, 1), np.zeros(self.shape, dtype=bool)
+        self._picture_maker.draw(self._scenery, cameras, images, *drones)
 
     def surface_below(self, position: np.ndarray, mask: np.ndarray) -> np.ndarray:
         """Find the height of the surface below drones: ground, roof or body.

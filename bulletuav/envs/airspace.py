@@ -111,9 +111,9 @@ class Airspace(Environment):
             layout: Static buildings.
             sensors: Names of sensors, or sensor objects, that all drones carry.
             **options: dynamics, seed, effects, wind, wind_profile, turbulence, gravity, max_speed,
-                controller, contacts, friction, restitution, randomization, rays, camera_size,
-                camera_hz, num_beams, max_range, lidar_elevations, lidar_frame, render_mode,
-                render_size, debug; see `EnvOptions`.
+                controller, contacts, friction, restitution, randomization, rays, camera,
+                camera_size, camera_hz, num_beams, max_range, lidar_elevations, lidar_frame,
+                render_mode, render_size, debug; see `EnvOptions`.
 
         Raises:
             ValueError: If an option is invalid, or drones overlap each other or the scene.

@@ -15,6 +15,7 @@ from bulletuav.envs.rates import MAX_HZ, decision_rate, picture_rate
 from bulletuav.envs.viewer import DEFAULT_ADDRESS, VIEWERS, parse_address
 from bulletuav.errors import as_int, as_sequence, find_choice, finite, shown, unknown
 from bulletuav.geometry.obstacle import MAX_FRICTION
+from bulletuav.sensors.camera import RENDERERS
 from bulletuav.sensors.lidar import FRAMES
 from bulletuav.vehicle.airframe import STANDARD_GRAVITY, Airframe
 from bulletuav.vehicle.parameters import DEFAULT_EFFECTS, EFFECTS
@@ -107,8 +108,10 @@ class EnvOptions:
             the wind speed at 20 feet that scales them, m/s.
         randomization: Randomized parameters, such as {"gps_noise": 1.0}; see
             `bulletuav.envs.randomization.Randomization`.
-        camera_size: Width and height of the drones' cameras, pixels (observations "rgb", "depth",
-            "segmentation", "ray_depth").
+        camera: Renderer of the drones' cameras (observations "rgb", "depth", "segmentation"):
+            "compiled" (exact depths, collision shapes, flat colours), or "bullet" (PyBullet's
+            TinyRenderer, a hundredth of the speed, with the visual shapes of drones and facades).
+        camera_size: Width and height of the drones' cameras, pixels.
         camera_hz: Camera pictures per second; must divide decision_hz; None for one per decision.
         gravity: Gravitational acceleration, m/s^2; 0 for none.
         num_beams: Beams of the range finder (observation "lidar") at each elevation, evenly spaced
@@ -160,6 +163,7 @@ class EnvOptions:
     wind_profile: Profile | None = None
     turbulence: str | float | None = None
     randomization: Randomization = CERTAIN
+    camera: str = "compiled"
     camera_size: tuple[int, int] = (64, 48)
     camera_hz: int | None = None
     gravity: float = STANDARD_GRAVITY
@@ -200,7 +204,7 @@ class EnvOptions:
         find_choice("contacts", self.contacts, dict.fromkeys(dynamics.contacts))
         choices = {"action": tuple(ACTIONS), "controller": tuple(CONTROLLERS)}
         choices |= {"lidar_frame": FRAMES, "energy": ENERGIES, "observation_format": FORMATS}
-        choices["rays"] = tuple(RAY_METHODS)
+        choices |= {"rays": tuple(RAY_METHODS), "camera": RENDERERS}
         for name, known in choices.items():
             find_choice(name, getattr(self, name), dict.fromkeys(known))
         check_names("effects", "effect", self.effects, EFFECTS)

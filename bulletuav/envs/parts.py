@@ -192,6 +192,7 @@ def sensor_setup(options: EnvOptions, num_worlds: int, wanted: frozenset[str]) -
         max_range=options.max_range,
         beams=make_beams(options.num_beams, options.lidar_elevations),
         beam_frame=options.lidar_frame,
+        camera=options.camera,
         camera_size=options.camera_size,
         camera_every=int(options.decision_hz / (options.camera_hz or options.decision_hz)),
         wanted=wanted,

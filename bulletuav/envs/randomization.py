@@ -66,6 +66,9 @@ class Randomization:
     - gps_dropout: probability that a reading fails at a decision; the last reading stays.
     - lidar_noise: standard deviation of ranges, m.
     - lidar_dropout: probability that a beam has no return.
+    - camera_depth_noise: standard deviation of a depth in pictures, divided by its square, 1/m;
+      such as 0.0014, of a Kinect.
+    - camera_fov: vertical field of view of the drones' cameras, degrees; 90 by default.
     - accelerometer_noise, gyroscope_noise: standard deviation of each axis, m/s^2, rad/s.
     - accelerometer_walk, gyroscope_walk: random walk of their biases after one second.
 

@@ -47,6 +47,7 @@ INTERFACE = (
     "max_range",
     "lidar_elevations",
     "lidar_frame",
+    "camera",
     "camera_size",
     "camera_hz",
 )

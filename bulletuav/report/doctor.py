@@ -22,8 +22,8 @@ PACKAGES = ("numpy", "numba", "scipy", "gymnasium", "pettingzoo", "matplotlib")
 REQUIREMENT = re.compile(r"([\w.-]+)(?:\[([\w.-]+)\])?.*extra == ['\"]([\w.-]+)['\"]")
 """A requirement of the metadata: package, its extra, and our extra that needs it"""
 WITHOUT_BULLET = (
-    "not installed: dynamics, rays and contacts 'bullet', the observations 'rgb', 'depth' and "
-    f"'segmentation', and rendered pictures are not available; the default is {DEFAULT_DYNAMICS}"
+    "not installed: dynamics, rays, contacts and camera 'bullet', and rendered pictures of whole "
+    f"worlds are not available; the default is {DEFAULT_DYNAMICS}"
 )
 EXTRA = "extra "
 """Prefix of the subjects of extras"""

@@ -85,6 +85,7 @@ class SensorSetup:
         max_range: Range of range finder and clearance, m.
         beams: Directions of the range finder's beams.
         beam_frame: "yaw" for beams that turn with the drone, "world" for fixed beams.
+        camera: "compiled" for the cameras' rasteriser, or "bullet" for PyBullet's.
         camera_size: Width and height of images, pixels.
         camera_every: Number of decisions between images.
         num_targets: Number of targets of the task, U.
@@ -100,6 +101,7 @@ class SensorSetup:
     max_range: float = 60.0
     beams: tuple[tuple[float, float], ...] = ()
     beam_frame: str = "yaw"
+    camera: str = "compiled"
     camera_size: tuple[int, int] = (64, 48)
     camera_every: int = 1
     num_targets: int = 0

@@ -1,3 +1,6 @@
+import contextlib
+import dataclasses
+
 import numpy as np
 import pytest
 import sensing
@@ -7,7 +10,7 @@ import bulletuav
 from bulletuav.city.generator import generate
 from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.geometry.solids import Solids
-from bulletuav.geometry.view import BUILDING, DRONE, FAR, LAND, NEAR, OBSTACLE, SKY
+from bulletuav.geometry.view import BUILDING, DRONE, FAR, LAND, NEAR, OBSTACLE, SKY, SKY_COLOUR
 from bulletuav.sensors.camera import Camera
 
 SIZE = (64, 48)
@@ -15,6 +18,9 @@ ALL = ["rgb", "depth", "segmentation", "ray_depth"]
 TOWER = Solids(np.array([[(20.0, -5, 0), (40, 5, 60)]]))
 FACING = [sensing.LEVEL, (0, np.sqrt(0.5), 0, np.sqrt(0.5))]
 """The second drone shows the first its face"""
+BOTH = pytest.mark.parametrize(
+    "camera", ["compiled", pytest.param("bullet", marks=pytest.mark.bullet)]
+)
 RADIUS = bulletuav.load_airframe("hummingbird").collision_radius
 
 
@@ -23,7 +29,15 @@ def photograph():
     """Pictures (N, H, W, ...) by name of drones in front of some solids and an obstacle."""
     made = []
 
-    def make(solids, position, quaternion=sensing.LEVEL, obstacle=None, world=0, worlds=1):
+    def make(
+        solids,
+        position,
+        quaternion=sensing.LEVEL,
+        obstacle=None,
+        world=0,
+        worlds=1,
+        camera="compiled",
+    ):
         drones = len(np.atleast_2d(position))
         obstacles = (Obstacle("sphere", (1.0,)),)
         engine = sensing.open_world((solids,), worlds, drones, obstacles=obstacles)
@@ -34,10 +48,11 @@ def photograph():
             engine.set_obstacles(np.full((worlds, 1, 3), obstacle), level, every)
         swarm = sensing.swarm_at(engine, position, quaternion)
         views = {"radius": (RADIUS,) * drones, "camera_size": SIZE, "wanted": frozenset(ALL)}
-        camera = sensing.sensor_of(Camera, engine.shape, engine, **views)
-        sensing.measure(camera, swarm, steps=0)
-        assert set(camera.pictures) == set(ALL)
-        return {name: picture[world] for name, picture in camera.pictures.items()}
+        sensor = sensing.sensor_of(Camera, engine.shape, engine, camera=camera, **views)
+        sensing.measure(sensor, swarm, steps=0)
+        assert set(sensor.pictures) == set(ALL)
+        np.testing.assert_array_equal(sensor.pictures["ray_depth"], sensor.pictures["depth"])
+        return {name: picture[world] for name, picture in sensor.pictures.items()}
 
     yield make
     for one in made:
@@ -80,7 +95,8 @@ def rounding(depth):
 
 
 @pytest.mark.parametrize("attitude", [(0, 0, 0), (-60, 20, 0), (-130, 10, 25)])
-def test_depths_by_rays_are_those_of_the_renderer(photograph, attitude):
+@pytest.mark.bullet
+def test_depths_and_labels_are_those_of_bullets_renderer(photograph, attitude):
     """In a city, over a street; where pixels show a plane, and to what the renderer rounds.
 
     Walls and streets seen at a slant tell by half a pixel's shift whether both look through the
@@ -88,37 +104,47 @@ def test_depths_by_rays_are_those_of_the_renderer(photograph, attitude):
     """
     city = generate("dense", 300.0, np.random.default_rng(0), 0.5)
     turn = Rotation.from_euler("ZYX", attitude, degrees=True).as_quat()
-    pictures = photograph(city.solids, (50, 130, 20), turn)
-    depth, rays, labels = (pictures[name][0] for name in ("depth", "ray_depth", "segmentation"))
+    depth, rays, labels = (
+        photograph(city.solids, (50, 130, 20), turn, camera=camera)[name][0]
+        for camera, name in (
+            ("bullet", "depth"),
+            ("compiled", "depth"),
+            ("compiled", "segmentation"),
+        )
+    )
+    rendered = photograph(city.solids, (50, 130, 20), turn, camera="bullet")["segmentation"][0]
     compared = flat(labels, rays) & (labels != SKY)
     assert {LAND, BUILDING} <= set(labels[compared])
     assert compared.mean() > 0.4
     assert (np.abs(depth - rays) < rounding(rays))[compared].all()
+    assert (labels == rendered)[compared].all()
+    assert (labels == rendered).mean() > 0.98
 
 
-def test_the_depth_of_a_wall_is_that_along_the_axis_in_all_its_pixels(photograph):
+@BOTH
+def test_the_depth_of_a_wall_is_that_along_the_axis_in_all_its_pixels(photograph, camera):
     """The lens is a drone's radius ahead of its centre."""
-    pictures = photograph(TOWER, (0, 0, 30))
+    pictures = photograph(TOWER, (0, 0, 30), camera=camera)
+    precision = {"compiled": 1e-7, "bullet": 0.01}[camera]
     for up, left in ((0, 0), (3, 4), (-8, -4.5)):
         row, column = pixel(20 - RADIUS, left, up)
-        assert pictures["ray_depth"][0, row, column] == pytest.approx(20 - RADIUS, abs=1e-3)
-        assert pictures["depth"][0, row, column] == pytest.approx(20 - RADIUS, rel=0.01)
+        assert pictures["depth"][0, row, column] == pytest.approx(20 - RADIUS, rel=precision)
 
 
 def test_what_is_nowhere_is_far(photograph):
     pictures = photograph(TOWER, (0, 0, 30), Rotation.from_euler("z", 90, degrees=True).as_quat())
-    assert (pictures["ray_depth"][0, :20] == FAR).all()
+    assert (pictures["depth"][0, :20] == FAR).all()
     assert (pictures["segmentation"][0, :20] == SKY).all()
 
 
-def test_pixels_are_labelled_by_what_they_show(photograph):
+@BOTH
+def test_pixels_are_labelled_by_what_they_show(photograph, camera):
     """A tower ahead, an obstacle to its left, another drone to its right.
 
     Ground is below and sky above them.
     """
-    pictures = photograph(
-        TOWER, [(0, 0, 30), (RADIUS + 5, -4, 30)], FACING, obstacle=(RADIUS + 10, 9, 30)
-    )
+    places = [(0, 0, 30), (RADIUS + 5, -4, 30)]
+    pictures = photograph(TOWER, places, FACING, obstacle=(RADIUS + 10, 9, 30), camera=camera)
     labels = pictures["segmentation"][0]
     for label, (ahead, left, up) in (
         (BUILDING, (20, 0, 0)),
@@ -133,15 +159,22 @@ def test_pixels_are_labelled_by_what_they_show(photograph):
     assert set(np.unique(labels)) == {SKY, LAND, BUILDING, OBSTACLE, DRONE}
 
 
+@pytest.mark.bullet
 def test_obstacles_and_drones_are_as_far_as_they_are(photograph):
     """A ball of 1 m 10 m ahead and to the left; a drone 5 m ahead.
 
     Its collision shape is what rays see of it.
     """
-    pictures = photograph(
-        TOWER, [(0, 0, 30), (RADIUS + 5, -4, 30)], FACING, obstacle=(RADIUS + 10, 9, 30)
+    rays, depth = (
+        photograph(
+            TOWER,
+            [(0, 0, 30), (RADIUS + 5, -4, 30)],
+            FACING,
+            obstacle=(RADIUS + 10, 9, 30),
+            camera=camera,
+        )["depth"][0]
+        for camera in ("compiled", "bullet")
     )
-    depth, rays = pictures["depth"][0], pictures["ray_depth"][0]
     ball, drone = pixel(10, 9, 0), pixel(5, -4, 0)
     assert 8.9 < rays[ball] < 9.5
     assert abs(depth[ball] - rays[ball]) < 0.1  # the renderer's ball is made of triangles
@@ -149,9 +182,97 @@ def test_obstacles_and_drones_are_as_far_as_they_are(photograph):
     assert 0 < depth[drone] - rays[drone] < 0.11  # the renderer shows the body within
 
 
-def test_every_world_is_photographed_where_it_is(photograph):
-    here, there = (photograph(TOWER, (0, 0, 30), world=k, worlds=4) for k in (0, 3))
-    np.testing.assert_allclose(here["ray_depth"], there["ray_depth"], rtol=1e-6)
-    assert (
-        here["segmentation"] == there["segmentation"]
-    ).mean() > 0.99  # the renderer is in single precision
+@BOTH
+def test_every_world_is_photographed_where_it_is(photograph, camera):
+    here, there = (photograph(TOWER, (0, 0, 30), world=k, worlds=4, camera=camera) for k in (0, 3))
+    if camera == "compiled":
+        np.testing.assert_array_equal(here["depth"], there["depth"])
+        np.testing.assert_array_equal(here["rgb"], there["rgb"])
+    # Bullet's renderer is in single precision
+    is_equal = here["segmentation"] == there["segmentation"]
+    assert is_equal.mean() > (0.99 if camera == "bullet" else 0.999999)
+
+
+def test_colours_differ_between_faces_and_on_the_ground(photograph):
+    """Two sides of a tower, its shaded ground, and the sky."""
+    turn = Rotation.from_euler("z", -20, degrees=True).as_quat()
+    pictures = photograph(TOWER, (0, 12, 30), turn)
+    colours, labels = pictures["rgb"][0], pictures["segmentation"][0]
+    seen = {label: np.unique(colours[labels == label], axis=0) for label in (SKY, LAND, BUILDING)}
+    assert seen[SKY].tolist() == [list(SKY_COLOUR)]
+    assert len(seen[LAND]) > 10
+    assert len(seen[BUILDING]) == 2
+
+
+def test_cameras_that_are_not_due_hold_their_pictures():
+    """Every second decision, and only of drones that fly."""
+    engine = sensing.open_world((TOWER,), worlds=2, drones=2)
+    views = {"radius": (RADIUS,) * 2, "camera_size": SIZE, "wanted": frozenset(ALL)}
+    camera = sensing.sensor_of(Camera, engine.shape, engine, camera_every=2, **views)
+    swarm = sensing.swarm_of(2, 2, (0, 0, 30))
+    assert (camera.pictures["depth"] == FAR).all()
+    mask = [[True, False], [True, True]]
+    pictures = sensing.measure(camera, swarm, mask=mask, steps=[2, 3])
+    taken = (pictures["depth"] != FAR).any(axis=(2, 3))
+    assert taken.tolist() == [[True, False], [False, False]]
+    engine.close()
+
+
+@BOTH
+@pytest.mark.parametrize(("fov", "edge"), [(60.0, 1 / 3**0.5), (120.0, 3**0.5)])
+def test_the_field_of_view_is_between_the_upper_and_the_lower_edge(camera, fov, edge):
+    """The depth of the ground at the lower edge of a level picture."""
+    with contextlib.closing(
+        bulletuav.Aviary(
+            "hover",
+            observation=("depth", "segmentation"),
+            dynamics="point_mass",
+            camera=camera,
+            camera_size=SIZE,
+            randomization={"camera_fov": fov},
+        )
+    ) as aviary:
+        aviary.reset(seeds=0)
+        depth = aviary.step(np.zeros((1, 1, 3))).observations["depth"][0, 0]
+        eye = aviary.swarm.position[0, 0, 2]
+        assert depth[-1, SIZE[0] // 2] == pytest.approx(eye / edge, rel=0.03)
+
+
+def test_fields_of_view_are_drawn_in_each_episode():
+    options = {"observation": ("depth",), "camera_size": (16, 12), "num_drones": 3}
+    options |= {"dynamics": "point_mass", "randomization": {"camera_fov": (40.0, 120.0)}}
+    with contextlib.closing(bulletuav.Aviary("crossing", 2, **options)) as aviary:
+        seen = []
+        for seed in (0, 10):
+            aviary.reset(seeds=seed)
+            fov = aviary.step(np.zeros((2, 3, 3))).info["random/camera_fov"]
+            assert ((fov >= 40.0) & (fov <= 120.0)).all()
+            seen.append(np.array(fov))
+        assert len(np.unique(seen)) == 12
+
+
+def test_noise_of_depths_grows_with_their_square(photograph):
+    """On a wall and on the ground; the sky stays, and other pictures have none."""
+    engine = sensing.open_world((TOWER,))
+    swarm = sensing.swarm_of(1, 1, (0, 0, 30))
+    views = {"radius": (RADIUS,), "camera_size": SIZE, "wanted": frozenset(ALL)}
+    exact, noisy = (sensing.sensor_of(Camera, engine.shape, engine, **views) for _ in range(2))
+    noisy.depth_noise[:] = 0.001
+    true = sensing.measure(exact, swarm, steps=0)
+    given = {"steps": 0, "rngs": [np.random.default_rng(0)]}
+    found = sensing.measure(noisy, swarm, **given)
+    error = (found["depth"] - true["depth"]) / true["depth"] ** 2
+    labels = true["segmentation"]
+    assert (found["depth"][labels == SKY] == FAR).all()
+    for label in (BUILDING, LAND):
+        chosen = (labels == label) & (true["depth"] < 100)
+        assert error[chosen].std() == pytest.approx(0.001, rel=0.1)
+        assert abs(error[chosen].mean()) < 1e-4
+    for name in ("rgb", "segmentation"):
+        np.testing.assert_array_equal(found[name], true[name])
+    # Held pictures keep their noise
+    before = found["depth"].copy()
+    noisy.setup = dataclasses.replace(noisy.setup, camera_every=2)
+    after = sensing.measure(noisy, swarm, steps=1, rngs=[np.random.default_rng(1)])
+    np.testing.assert_array_equal(after["depth"], before)
+    engine.close()

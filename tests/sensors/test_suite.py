@@ -35,6 +35,7 @@ SOME = {
     "range": 40.0,
     "bias": 3.0,
     "iron": 2.0,
+    "fov": 60.0,
 }
 """Values of uncertain parameters, by the ends of their names"""
 CHECKED = {
