@@ -666,8 +666,8 @@ class Bare:
         (hover(rebound=NAN), "rebound of task 'mine' is nan"),
         (hover(obstacles=lambda self: ["a"]), "obstacles of task 'mine' gave"),
         (hover(layouts=lambda self: None), "layouts of task 'mine' gave None"),
-        (hover(memory=lambda self: {"a": None}), "shape of memory 'a'"),
-        (hover(memory=lambda self: None), "memory of task 'mine' gave None"),
+        (hover(memory=lambda self: {**Hover.memory(self), "a": None}), "shape of memory 'a'"),
+        (hover(memory=lambda self: Hover.memory(self) and None), "memory of task 'mine' gave None"),
     ],
 )
 def test_task_classes_name_what_they_lack(task, message):

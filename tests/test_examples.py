@@ -254,7 +254,7 @@ def test_ranges_of_half_a_second_ago_are_of_the_same_episode(monkeypatch):
 
 def check_team_critics(told, folder):
     success, low, high = numbers(r"drone_success # \(# to #\)", told)[0]
-    assert success == low == high == 0  # which has learned nothing yet
+    assert success == low == 0 < high  # which has learned nothing yet
     assert {path.name for path in folder.rglob("*.*")} == {"run.yaml", "policy.safetensors"}
     text = (folder / "run.yaml").read_text()
     assert text.startswith("# Learned by `examples/team_critics.py maddpg`")

@@ -47,7 +47,7 @@ def main() -> None:
         figures = result.estimates()
         conflicts, success = figures["conflicts"].mean, figures["drone_success"].mean
         name = result.about["policy"]
-        print(f"{name}: {conflicts:.1f} conflicts, {success:.0%} of the drones reach their goals")
+        print(f"{name}: {conflicts:.1f} conflicts, {success:.0%} of the drones succeed")
 
 
 if __name__ == "__main__":

@@ -223,9 +223,8 @@ def test_a_model_is_saved_and_goes_on_with_another_environment(tmp_path):
 
 def test_success_leads_through_the_levels_and_a_change_truncates():
     stages = [{"num_drones": 1, "horizon": 3}, {"num_drones": 2, "horizon": 6}]
-    env = DroneVecEnv(
-        "hover", 2, stages, Curriculum(2, window=2), dynamics="single_integrator", action="velocity"
-    )
+    options = {"dynamics": "single_integrator", "action": "velocity", "min_in_place": 0.1}
+    env = DroneVecEnv("hover", 2, stages, Curriculum(2, window=2), **options)
     assert env.num_envs == 4
     env.seed(0)
     observations = env.reset()

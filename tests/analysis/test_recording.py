@@ -245,7 +245,7 @@ def test_infos_of_the_task_are_recorded(tmp_path):
             if frame.time[0] > 0:  # of other forms, which are refused at a reset
                 told |= {"place": frame.after.position, "number": 5.0}
             late = {"late": told["height"]} if frame.time[0] > 0.1 else {}
-            return told | late
+            return super().info(frame) | told | late
 
     aviary = bulletuav.Aviary(Telling, num_drones=2, horizon=4, action="velocity")
     recording = fly_episode(aviary, find_policy("straight")(aviary), seed=0)

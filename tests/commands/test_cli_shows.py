@@ -19,9 +19,9 @@ HEADINGS = {
     ),
     "los": ("served by all", "collisions"),
     "coverage": ("covered by all", "collisions"),
-    "hover": ("at target", "collisions", "to target (m)"),
-    "follow": ("at station", "collisions", "to station (m)"),
-    "crossing": ("reached", "nearest (m)", "conflicts", "collisions", "to goal (m)"),
+    "hover": ("success", "at target", "collisions", "to target (m)"),
+    "follow": ("success", "at station", "collisions", "to station (m)"),
+    "crossing": ("success", "nearest (m)", "conflicts", "collisions", "to goal (m)"),
 }
 
 
@@ -40,7 +40,7 @@ def test_the_table_is_that_of_the_task(task):
         assert cells[headings[1]] == [f"{recording.info['served'][-1, 0]:.2f}"] * 2
     if task == "crossing":
         assert cells["nearest (m)"][0] == f"{recording.separation[:, 0].min():.2f}"
-        assert cells["reached"] == ["no", "no"]
+        assert cells["success"] == ["no", "no"]
         assert cells["conflicts"][0].isdigit()
     aviary.close()
 

@@ -73,7 +73,8 @@ def fly(env, stay=False, seed=None):
 
 
 def test_the_environment_grows_with_success_and_shrinks_without():
-    env = curriculum_env("converge", STAGES, window=2, **FAST)
+    # Drones pass each other at 0.26 m
+    env = curriculum_env("converge", STAGES, window=2, d_safe=0.2, **FAST)
     assert len(env.possible_agents) == 4
     counts = [fly(env, seed=0)[0], *(fly(env)[0] for _ in range(3))]
     assert counts == [2, 2, 4, 4]

@@ -215,7 +215,8 @@ def test_own_airframe_from_a_path_flies(urdf):
         ('robot name="cf2x"', 'robot name="mine"'),
         ('<mass value="0.027"/>', '<mass value="0.030"/>'),
     )
-    aviary = bulletuav.Aviary("hover", airframe=own, action="target_position")
+    options = {"action": "target_position", "min_in_place": 0.05}
+    aviary = bulletuav.Aviary("hover", airframe=own, **options)
     aviary.reset(seeds=0)
     for _ in range(90):
         step = aviary.step(aviary.action.encode(aviary.scene.goal))

@@ -135,9 +135,8 @@ def test_an_airframe_of_ones_own_needs_a_urdf_and_nothing_else(urdf, dynamics):
         ('radius="0.27"', 'radius="0.4"'),
     )
     own = urdf("hummingbird", *changes, ('robot name="hummingbird"', 'robot name="octo"'))
-    aviary = bulletuav.Aviary(
-        "hover", airframe=own, dynamics=dynamics, action="target_position", height=5.0
-    )
+    options = {"action": "target_position", "height": 5.0, "min_in_place": 0.05}
+    aviary = bulletuav.Aviary("hover", airframe=own, dynamics=dynamics, **options)
     aviary.reset(seeds=0)
     for _ in range(120):
         step = aviary.step(aviary.action.encode(aviary.scene.goal))

@@ -178,7 +178,7 @@ def test_all_environment_classes_tell_rest_and_impulse():
 def test_a_task_cannot_tell_them_itself(name):
     class Telling(Land):
         def info(self, frame):
-            return {name: frame.impulse}
+            return {**super().info(frame), name: frame.impulse}
 
     aviary = bulletuav.Aviary(Telling)
     with pytest.raises(ValueError, match=f"'{name}', which is a standard info"):

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from bulletuav.compiled.functions import sin
 from bulletuav.policies.coverage import Oracle, Placement
 from bulletuav.policies.coverage_geometry import assign_optimally, ring_positions
 from bulletuav.policies.half_spaces import AvoidanceParameters
@@ -31,7 +32,7 @@ class FixedPlaces(Placement):
         ring = ring_positions(
             centre=0.5 * (low + high),
             count=len(position),
-            min_spacing=2 * radius * float(np.sin(angle)),
+            min_spacing=2 * radius * sin(angle),
             low=low,
             high=high,
         )
