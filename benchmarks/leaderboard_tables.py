@@ -92,7 +92,8 @@ def read_entries(
     found: dict[str, dict[str, list[dict[str, Any]]]] = {task: {} for task in scores}
     for row in rows:
         told = read_told(out, row)
-        if told is not None:
+        # Rows that were flown before a metric existed count as missing
+        if told is not None and success_metric(scores[row.task]) in told["estimates"]:
             found[row.task].setdefault(row.policy, []).append(told)
     entries = {}
     for task, policies in found.items():
