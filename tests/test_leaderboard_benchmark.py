@@ -1,13 +1,16 @@
 """The leaderboard: rows that are made, interrupted and flown again, and what its tables say."""
 
 import json
+import re
 import sys
 from pathlib import Path
 
 import pytest
 
+import bulletuav
 from bulletuav.policies.run import read_settings
 from bulletuav.report.verification import Verifier
+from bulletuav.tasks import find_task
 
 ROOT = Path(__file__).parent.parent
 LEARNED = "hover-ppo-0"
@@ -221,6 +224,33 @@ def test_safe_success_ranks_before_the_score(benchmark, tmp_path):
     assert verdict(equal, by_policy["c"]) == "misses it"
     assert verdict(by_policy["c"], equal) == "beats it"
     assert verdict(equal, equal) == "ties with it"
+
+
+def published():
+    """Read the published tables: a dict of cells for each row, with its task."""
+    text = (ROOT / "docs" / "results" / "leaderboard" / "leaderboard.md").read_text()
+    for part in re.split(r"(?m)^## (?!Completeness)", text)[1:]:
+        task, *lines = part.splitlines()
+        table = [line for line in lines if line.startswith("|")]
+        heads, _, *rows = ([cell.strip() for cell in line.strip("| ").split("|")] for line in table)
+        for row in rows:
+            yield {"task": task, **dict(zip(heads, row, strict=True))}
+
+
+@pytest.mark.parametrize("task", bulletuav.list_tasks())
+def test_no_published_row_earns_more_for_less_success(task):
+    def low_and_high(cell):
+        low, high = re.search(r"\[(\S+), (\S+)\]", cell).groups()
+        return float(low), float(high)
+
+    rows = [row for row in published() if row["task"] == task]
+    score = "return" if "return" in rows[0] else "team 0 return"
+    baseline, *_ = find_task(task).baseline.split(" vs ")
+    (base,) = [row for row in rows if row["policy"] == f"`{baseline}`"]
+    for row in rows:
+        is_less_safe = low_and_high(row["safe success"])[1] < low_and_high(base["safe success"])[0]
+        earns_more = low_and_high(row[score])[0] > low_and_high(base[score])[1]
+        assert not (is_less_safe and earns_more), row["policy"]
 
 
 def test_intervals_over_seeds_are_students(benchmark):
