@@ -294,7 +294,7 @@ def test_episodes_without_an_info_have_none():
 
 
 CITY = ("city_alpha", "city_beta", "city_gamma")
-EDGE = (*CITY, "dwell_time", "dropped", "utilisation", "queue")
+EDGE = (*CITY, "dwell_time", "mean_service", "dropped", "utilisation", "queue")
 
 
 def test_standard_infos_are_no_tasks_own():

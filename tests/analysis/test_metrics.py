@@ -371,7 +371,7 @@ def test_what_is_completed_and_how_late_is_what_was_told_last(dives):
     aviary.close()
 
 
-USERS = ("city_alpha", "city_beta", "city_gamma", "dwell_time")
+USERS = ("city_alpha", "city_beta", "city_gamma", "dwell_time", "mean_service")
 EDGE = (*USERS, "dropped", "utilisation", "queue")
 OWN = {"los": USERS, "mobile_users": USERS, "mec": EDGE, "mec_advanced": EDGE}
 

@@ -69,7 +69,7 @@ def test_users_walk_on_all_of_the_rectangle_and_stay_in_it(mobility):
 
 
 def test_the_squares_of_coverage_fill_the_rectangle():
-    aviary = bulletuav.Aviary("coverage", area=AREA, num_layouts=1)
+    aviary = bulletuav.Aviary("coverage", city="urban", area=AREA, num_layouts=1)
     aviary.reset(seeds=0)
     cells = aviary.task.targets(aviary.scene)[0]
     np.testing.assert_allclose(np.abs(cells[:, :2]).max(axis=0), (195, 95))

@@ -28,7 +28,7 @@ def test_everybody_starts_outdoors_with_room_and_apart(task, kind):
         "min_separation": 30.0,
     }
     plan = EnvSpec(task, 1, options | ({"leg": 120.0} if task in FLIGHTS else {}))
-    low, high = (20, 60) if task in ("los", "coverage") else (5, 12)
+    low, high = (20, 45) if task in ("los", "coverage") else (5, 12)
     drawn = set()
     for seed in range(30):
         spawn = plan.task.spawn(np.random.default_rng(seed))
@@ -55,7 +55,17 @@ def test_places_are_spread_over_all_streets_and_heights():
     Of 600 places five standard deviations are 61.
     """
     plan = EnvSpec(
-        "los", 1, {"num_drones": 6, "area": 300.0, "num_layouts": 1, "min_separation": 10.0}
+        "los",
+        1,
+        {
+            "num_drones": 6,
+            "city": "urban",
+            "area": 300.0,
+            "num_layouts": 1,
+            "height": (20.0, 60.0),
+            "ceiling": 70.0,
+            "min_separation": 10.0,
+        },
     )
     places = np.concatenate(
         [plan.task.spawn(np.random.default_rng(seed)).position for seed in range(100)]
@@ -157,7 +167,7 @@ def test_a_city_of_footprints_in_degrees(make_urban, tmp_path):
         aviary = make_urban("los", city=source)
         bounds = aviary.solids(0).bounds
         east, north = 0.004 * 55798.3 / 2, 0.002 * 111412.3 / 2
-        np.testing.assert_allclose(aviary.task.arena_high, (east, east, 70), atol=1e-3)
+        np.testing.assert_allclose(aviary.task.arena_high, (east, east, 50), atol=1e-3)
         wide, deep = east / 5, north / 5
         np.testing.assert_allclose(
             bounds[:, 1] - bounds[:, 0], [(wide, deep, 12), (wide, deep, 30)], atol=1e-3
@@ -284,7 +294,14 @@ DIFFICULTIES = {
     "hard": (8, "dense", 0.5),
     "extreme": (16, "high_rise", 1),
 }
-"""Number of drones, city and irregularity"""
+"""Number of drones, city and irregularity of flights"""
+SERVICES = {
+    "easy": (3, "dense", 0),
+    "medium": (4, "dense", 0.5),
+    "hard": (5, "dense", 0.5),
+    "extreme": (6, "high_rise", 1),
+}
+"""The same of services, whose drones see much of a city from few places"""
 RANGES = {"easy": (0, 0), "medium": (0.1, 0), "hard": (0.3, 0.01), "extreme": (0.5, 0.05)}
 """Noise of the lidar, m, and share of its beams that are lost"""
 
@@ -293,7 +310,8 @@ RANGES = {"easy": (0, 0), "medium": (0.1, 0), "hard": (0.3, 0.01), "extreme": (0
 @pytest.mark.parametrize("task", URBAN)
 def test_difficulties_are_those_of_the_docstring(task, difficulty):
     options, config, _ = resolve_options(find_task(task), {"difficulty": difficulty})
-    assert (options.num_drones, config.city, config.irregularity) == DIFFICULTIES[difficulty]
+    expected = (SERVICES if task in ("los", "coverage") else DIFFICULTIES)[difficulty]
+    assert (options.num_drones, config.city, config.irregularity) == expected
     uncertain = options.randomization
     ranges = RANGES[difficulty] if task == "lidar_navigation" else (0, 0)
     given = uncertain.ranges
@@ -301,4 +319,4 @@ def test_difficulties_are_those_of_the_docstring(task, difficulty):
     assert bool(uncertain.active) == (difficulty != "easy")
     assert bool(options.turbulence) == (difficulty == "extreme")
     if task == "coverage":
-        assert config.min_separation == (50 if difficulty == "extreme" else 100)
+        assert config.min_separation == 100

@@ -57,7 +57,7 @@ def test_flights_reward_progress_and_end_at_the_goal(put_urban, task):
         assert not step.terminated.any()
     step = aviary.step(np.array([[EAST]]))
     assert step.info["goal_distance"][0, 0] == pytest.approx(1.9)
-    assert step.info["reward/goal"][0, 0] == 50
+    assert step.info["reward/goal"][0, 0] == 300
     assert step.info["success"].all()
     assert step.terminated.all()
     assert not step.info["collision"].any()

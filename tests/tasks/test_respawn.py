@@ -29,7 +29,7 @@ def test_a_goal_that_is_reached_counts_and_gives_way_to_another(aviary):
     old = aviary.scene.goal.copy()
     step = aviary.step(np.zeros((3, 2, 3)))
     np.testing.assert_array_equal(step.info["goals"], [[1, 0]] * 3)
-    assert (step.info["reward/goal"][:, 0] == 50).all()
+    assert (step.info["reward/goal"][:, 0] == 300).all()
     assert (step.info["reward/goal"][:, 1] == 0).all()
     # What is paid and told is about the old goal, what is observed about the new.
     assert (step.info["goal_distance"][:, 0] < 1).all()
@@ -48,7 +48,7 @@ def test_each_goal_counts_and_progress_is_towards_the_one_that_was_flown_to(avia
         at_goals(aviary)
         step = aviary.step(np.zeros((3, 2, 3)))
         assert (step.info["goals"][:, 0] == k).all()
-        assert (step.info["reward/goal"][:, 0] == 50).all()
+        assert (step.info["reward/goal"][:, 0] == 300).all()
         assert np.abs(step.info["reward/progress"]).max() < 1e-9
     step = aviary.step(np.zeros((3, 2, 3)))
     assert (step.info["reward/goal"] == 0).all()
