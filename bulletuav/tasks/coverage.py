@@ -84,6 +84,7 @@ class Coverage(Task[CoverageConfig]):
     - covered 1: fraction of the squares that are covered.
     - sight 0: fraction of the squares that the drone itself sees.
     - close -0.2: number of other drones closer than min_separation = 100 m.
+    - conflict -100: number of drones whose separation falls below d_safe = 2 m.
     - collision -10: 1 on contact of collision shapes.
     - out_of_bounds -10: 1 outside the city's square or above its ceiling.
 
@@ -110,6 +111,7 @@ class Coverage(Task[CoverageConfig]):
         "covered": (served, 1.0),
         "sight": (sight, 0.0),
         "close": (close, -0.2),
+        "conflict": -100.0,
         "collision": -10.0,
         "out_of_bounds": -10.0,
     }

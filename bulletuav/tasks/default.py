@@ -94,6 +94,7 @@ class Default(Task[DefaultConfig]):
 
     - progress 1: speed towards the goal divided by max_speed.
     - goal 10: 1 in the decision in which the drone reaches the goal.
+    - conflict -50: number of drones whose separation falls below d_safe = 2 m.
     - collision -10: 1 on contact of collision shapes.
     - time -0.1: 1 per decision until the goal is reached; if the episode ends otherwise, also 1 per
       remaining decision.
@@ -118,6 +119,7 @@ class Default(Task[DefaultConfig]):
     reward: ClassVar = {
         "progress": (speed_made_good, 1.0),
         "goal": (arrival, 10.0),
+        "conflict": -50.0,
         "collision": -10.0,
         "time": (time, -0.1),
     }

@@ -43,6 +43,7 @@ class Los(UserService[LosConfig]):
 
     - served 1: fraction of the users seen by at least one drone.
     - sight 0: fraction of the users that the drone itself sees.
+    - conflict -100: number of drones whose separation falls below d_safe = 2 m.
     - collision -10: 1 on contact of collision shapes.
     - out_of_bounds -10: 1 outside the city's square or above its ceiling.
 
@@ -61,4 +62,10 @@ class Los(UserService[LosConfig]):
     presets: ClassVar = {"urbanmarl": URBANMARL_LOS}
     defaults: ClassVar = {**URBAN_DEFAULTS, "horizon": 600}
     observation = ("position", "velocity", "battery", "neighbours", "targets")
-    reward: ClassVar = {"collision": -10.0, "out_of_bounds": -10.0, "served": 1.0, "sight": 0.0}
+    reward: ClassVar = {
+        "conflict": -100.0,
+        "collision": -10.0,
+        "out_of_bounds": -10.0,
+        "served": 1.0,
+        "sight": 0.0,
+    }

@@ -54,6 +54,7 @@ class Mec(UserService[MecConfig]):
     - service_time 0.3: tanh(0.1 s), where s is the time for which a drone has seen a user without
       interruption, in seconds, averaged over all users.
     - dwell_time 0: the same for the users that the drone itself sees.
+    - conflict -10: number of drones whose separation falls below d_safe = 2 m.
     - collision -2: 1 on contact of collision shapes.
     - out_of_bounds 0: 1 at the bounds of the airspace.
 
@@ -74,6 +75,7 @@ class Mec(UserService[MecConfig]):
     service_kind = EdgeComputing
     observation = ("position", "battery", "server")
     reward: ClassVar = {
+        "conflict": -10.0,
         "collision": -2.0,
         "out_of_bounds": 0.0,
         "tasks": 1.0,

@@ -69,6 +69,7 @@ class MecAdvanced(UserService[MecAdvancedConfig]):
     - service_time 0.5: tanh(0.1 s), where s is the time for which a drone has seen a user without
       interruption, in seconds, averaged over all users.
     - dwell_time 0: the same for the users that the drone itself sees.
+    - conflict -20: number of drones whose separation falls below d_safe = 2 m.
     - collision -5: 1 on contact of collision shapes.
     - out_of_bounds 0: 1 at the bounds of the airspace.
 
@@ -89,6 +90,7 @@ class MecAdvanced(UserService[MecAdvancedConfig]):
     service_kind = EdgeComputing
     observation = ("position", "velocity", "battery", "power", "link_rates", "server")
     reward: ClassVar = {
+        "conflict": -20.0,
         "collision": -5.0,
         "out_of_bounds": 0.0,
         "tasks": 2.0,

@@ -45,6 +45,7 @@ class MobileUsers(UserService[MobileUsersConfig]):
     - service_time 0.5: tanh(0.1 s), where s is the time for which a drone has seen a user without
       interruption, in seconds, averaged over all users.
     - sight 0, dwell_time 0: the same for the users that the drone itself sees.
+    - conflict -20: number of drones whose separation falls below d_safe = 2 m.
     - collision -2: 1 on contact of collision shapes.
     - out_of_bounds 0: 1 at the bounds of the airspace.
 
@@ -63,6 +64,7 @@ class MobileUsers(UserService[MobileUsersConfig]):
     presets: ClassVar = {"urbanmarl": URBANMARL_MOBILE_USERS}
     observation = ("position", "battery", "centroids", "sight_matrix")
     reward: ClassVar = {
+        "conflict": -20.0,
         "collision": -2.0,
         "out_of_bounds": 0.0,
         "served": 1.0,

@@ -85,8 +85,8 @@ class Pursuit(GoalFlight[PursuitConfig]):
     Drones start in a queue on the track, drone 0 first, and fly clockwise. For each episode their
     cruising speeds v are drawn evenly from 10 to 18 m/s, and sorted in each platoon of ten drones,
     the slowest first. A drone's goal moves along the track at v for one lap. The drone has to stay
-    within slack = 20 m of the goal, so that it averages 0.9 v or more: it may neither wait, sprint
-    nor cut corners, and drones that fly at one speed in convoy fail.
+    within slack = 20 m of the goal, so that it averages 0.9 v or more: it may neither wait nor sprint,
+    and drones that fly at one speed in convoy fail.
 
     Observation, Box(58) per drone with the defaults, in world axes (east, north, up): position,
     velocity, direction and distance of the goal, the goal's velocity (its norm is v), the nearest

@@ -58,7 +58,7 @@ _OWN_SHARE = {"served": 0.0, "sight": 1.0}
 
 URBANMARL_DEFAULT: dict[str, Any] = {
     **_WAYPOINT,
-    "weights": {"progress": 1.0, "goal": 5.0, "collision": -1.0, "time": 0.0},
+    "weights": {"progress": 1.0, "goal": 5.0, "conflict": 0.0, "collision": -1.0, "time": 0.0},
 }
 URBANMARL_NAVIGATION: dict[str, Any] = {
     **_WAYPOINT,
@@ -87,7 +87,7 @@ URBANMARL_LIDAR_NAVIGATION: dict[str, Any] = {
 URBANMARL_LOS: dict[str, Any] = {
     **_USERS,
     "observation": ("position", "battery"),
-    "weights": {**_OWN_SHARE, "collision": -1.0, "out_of_bounds": 0.0},
+    "weights": {**_OWN_SHARE, "conflict": 0.0, "collision": -1.0, "out_of_bounds": 0.0},
 }
 URBANMARL_COVERAGE: dict[str, Any] = {
     **URBANMARL,
@@ -96,6 +96,7 @@ URBANMARL_COVERAGE: dict[str, Any] = {
         "covered": 0.0,
         "sight": 1.0,
         "close": -5.0,
+        "conflict": 0.0,
         "collision": -1.0,
         "out_of_bounds": 0.0,
     },
@@ -103,17 +104,17 @@ URBANMARL_COVERAGE: dict[str, Any] = {
 URBANMARL_MOBILE_USERS: dict[str, Any] = {
     **_USERS,
     "mobility": "manhattan",
-    "weights": {**_OWN_SHARE, "service_time": 0.0, "dwell_time": 0.5},
+    "weights": {**_OWN_SHARE, "conflict": 0.0, "service_time": 0.0, "dwell_time": 0.5},
 }
 URBANMARL_MEC: dict[str, Any] = {
     **_MEC,
     "arrival_rate": 0.1,
-    "weights": {"service_time": 0.0, "dwell_time": 0.3},
+    "weights": {"conflict": 0.0, "service_time": 0.0, "dwell_time": 0.3},
 }
 URBANMARL_MEC_ADVANCED: dict[str, Any] = {
     **_MEC,
     "num_users": 10,
     "height": (20.0, 120.0),
     "bandwidth": 10e6,
-    "weights": {"service_time": 0.0, "dwell_time": 0.5},
+    "weights": {"conflict": 0.0, "service_time": 0.0, "dwell_time": 0.5},
 }
