@@ -26,6 +26,8 @@ PLATOON = 10
 """Number of drones in a platoon, in which the faster drones start behind the slower ones"""
 MAX_SLACK = 0.1
 """Maximum `slack` as a fraction of the track: drones average 0.9 of their cruising speed or more"""
+CLIMB_SPEED_FRACTION = 0.5
+"""Speed of the climb for which goals wait, as a fraction of max_speed"""
 
 
 @dataclass(frozen=True)
@@ -57,19 +59,9 @@ def off_schedule(is_on_schedule: bool) -> bool:
 
 
 @reward
-def lap(
-    cruising_speed: float,
-    time: float,
-    period: float,
-    track_length: float,
-    is_on_schedule: bool,
-    is_safe: bool,
-) -> float:
+def lap(laps_due: float, is_on_schedule: bool, is_safe: bool) -> float:
     """Fraction of all laps due in the decision: of drones on schedule without conflict."""
-    if not (is_on_schedule and is_safe):
-        return 0.0
-    due = min(cruising_speed * time, track_length)
-    return (due - min(cruising_speed * (time - period), track_length)) / track_length
+    return laps_due if is_on_schedule and is_safe else 0.0
 
 
 @reward
@@ -85,8 +77,9 @@ class Pursuit(GoalFlight[PursuitConfig]):
     Drones start in a queue on the track, drone 0 first, and fly clockwise. For each episode their
     cruising speeds v are drawn evenly from 10 to 18 m/s, and sorted in each platoon of ten drones,
     the slowest first. A drone's goal moves along the track at v for one lap. The drone has to stay
-    within slack = 20 m of the goal, so that it averages 0.9 v or more: it may neither wait nor sprint,
-    and drones that fly at one speed in convoy fail.
+    within slack = 20 m of the goal, so that it averages 0.9 v or more: it may neither wait nor
+    sprint, and drones that fly at one speed in convoy fail. With `take_off`, goals wait for a climb
+    at half of max_speed, 4 s, then speed up for as long; the slack counts from then on.
 
     Observation, Box(58) per drone with the defaults, in world axes (east, north, up): position,
     velocity, direction and distance of the goal, the goal's velocity (its norm is v), the nearest
@@ -125,6 +118,7 @@ class Pursuit(GoalFlight[PursuitConfig]):
 
     Attributes:
         track_length: Length of all laps, m.
+        climb_time: Time for which goals wait for drones that take off, and then speed up, s.
     """
 
     version = 2
@@ -194,10 +188,13 @@ class Pursuit(GoalFlight[PursuitConfig]):
         self._check_spacing()
         self.arena_low, self.arena_high = circle_arena(config, context, config.radius)
         self.track_length = float(2 * np.pi * config.radius * config.laps)
-        if self.track_length >= slowest * context.duration:
+        climb_speed = CLIMB_SPEED_FRACTION * context.max_speed
+        self.climb_time = config.altitude / climb_speed if config.take_off else 0.0
+        duration = context.duration - 1.5 * self.climb_time
+        if self.track_length >= slowest * duration:
             raise ValueError(
                 f"speed {slowest:g} m/s is too slow for {self.track_length:.4g} m of track "
-                f"within {context.duration:g} s: raise horizon or speed, or fly fewer laps"
+                f"within {duration:g} s: raise horizon or speed, or fly fewer laps"
             )
         nearest, farthest = np.sqrt(3) * config.jitter, MAX_SLACK * self.track_length
         if not nearest < config.slack <= farthest:
@@ -233,9 +230,23 @@ class Pursuit(GoalFlight[PursuitConfig]):
             cruising_speed: (..., N) speeds of the goals, m/s.
             time: (...) time since the start, s.
         """
-        distance = cruising_speed * np.asarray(time)[..., None]
+        distance = cruising_speed * self._cruise(time)[0][..., None]
         flown: np.ndarray = np.minimum(distance, self.track_length)
         return flown
+
+    def _cruise(self, time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the movement of goals until times (...), s, in units of the cruising speed.
+
+        Returns:
+            Time for the distance at full cruising speed, s, and fraction of it at present, (...).
+        """
+        time, climb = np.asarray(time), self.climb_time
+        if not climb:
+            return time, np.ones_like(time)
+        # Uniform acceleration, as drones cannot follow a jump from rest within the slack
+        ramp = np.asarray(np.clip(time - climb, 0.0, climb))
+        full = np.maximum(time - 2 * climb, 0.0)
+        return np.asarray(ramp * ramp / (2 * climb) + full), ramp / climb
 
     def _track(self, cruising_speed: np.ndarray, time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return positions (..., N, 3), m, and velocities (..., N, 3), m/s, of goals.
@@ -251,7 +262,8 @@ class Pursuit(GoalFlight[PursuitConfig]):
         angle = (queue - flown) / config.radius
         height = np.full_like(angle, config.altitude)
         place = np.stack([config.radius * cos(angle), config.radius * sin(angle), height], axis=-1)
-        speed = np.where(flown < self.track_length, cruising_speed, 0.0)[..., None]
+        speed = cruising_speed * self._cruise(time)[1][..., None]
+        speed = np.where(flown < self.track_length, speed, 0.0)[..., None]
         return place, speed * np.stack([sin(angle), -cos(angle), np.zeros_like(angle)], axis=-1)
 
     def spawn(self, rng: np.random.Generator) -> Spawn:
@@ -274,14 +286,25 @@ class Pursuit(GoalFlight[PursuitConfig]):
         return {**super().memory(), "cruising_speed": shape, "overtakes": shape}
 
     def quantities(self) -> Mapping[str, Any]:
-        """Return those of `GoalFlight`, `is_on_schedule` and the length of all laps, m."""
-        own = {"is_on_schedule": self.is_on_schedule, "track_length": self.track_length}
+        """Return those of `GoalFlight`, `is_on_schedule` and `laps_due`."""
+        own = {"is_on_schedule": self.is_on_schedule, "laps_due": self.laps_due}
         return {**super().quantities(), **own}
 
+    def laps_due(self, frame: Frame) -> np.ndarray:
+        """Return the fraction of all laps that goals moved in the decision, (W, N)."""
+        speed = frame.scene.memory["cruising_speed"]
+        before = self.flown(speed, frame.time - self.context.period)
+        due: np.ndarray = (self.flown(speed, frame.time) - before) / self.track_length
+        return due
+
     def is_on_schedule(self, frame: Frame) -> np.ndarray:
-        """Return which drones are within the slack of their goals, or were at the end, (W, N)."""
+        """Return which drones are within the slack of their goals, or were at the end, (W, N).
+
+        While goals wait for the climb, all drones are on schedule.
+        """
         within: np.ndarray = frame.distance <= self.config.slack
-        return within | (frame.scene.memory["reached"] > 0)
+        climbs = (frame.time < self.climb_time)[:, None]
+        return within | climbs | (frame.scene.memory["reached"] > 0)
 
     def update_memory(self, frame: Frame, rngs: Rngs) -> None:
         """Count the overtakes."""

@@ -15,6 +15,12 @@ from bulletuav.tasks.parts.places import PlacementRules, draw_places
 
 MAX_OCCUPANCY = 0.3
 """Maximum fraction of the space from which drones and obstacles exclude others"""
+MAX_GROUND_OCCUPANCY = 0.5
+"""The same of the ground, for drones that take off.
+
+In a plane more is possible: random placement of discs ends at 55 % of the area, and each excludes
+the centres of others from four times its own. This limit is at 12.5 % of the area.
+"""
 
 
 @dataclass(frozen=True)
@@ -101,10 +107,11 @@ class FreeSpace(Starts):
         if config.take_off:
             taken = drones * np.pi * self.apart**2
             room = float(np.prod(self.high[:2] - self.low[:2] + 2 * self.apart))
-            if taken > MAX_OCCUPANCY * room:
+            if taken > MAX_GROUND_OCCUPANCY * room:
                 raise ValueError(
                     f"{drones} drones keep others off {taken / room:.0%} of the ground, at most "
-                    f"{MAX_OCCUPANCY:.0%} is possible with take_off: widen area, or lower d_safe"
+                    f"{MAX_GROUND_OCCUPANCY:.0%} is possible with take_off: widen area, or lower "
+                    f"d_safe"
                 )
         # Some goal must be this far from any start
         if self.leg > 0.5 * config.area:
