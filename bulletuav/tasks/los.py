@@ -51,13 +51,13 @@ class Los(UserService[LosConfig]):
     its ceiling. Truncated after 600 decisions.
 
     Success: averaged over the episode, at least one drone sees 55 % of the users (medium 68 %, hard
-    78 %, extreme 70 %), and the drone itself had no conflict or collision.
+    78 %, extreme 76 %), and the drone itself had no conflict or collision.
 
     Preset urbanmarl: sizes and rates of UrbanMARL 0.3.1 (docs/explanation/radio_and_edge.md).
     """
 
     version = 2
-    difficulties: ClassVar = service_difficulties(medium=0.68, hard=0.78, extreme=0.7)
+    difficulties: ClassVar = service_difficulties(medium=0.68, hard=0.78, extreme=0.76)
     name = "los"
     presets: ClassVar = {"urbanmarl": URBANMARL_LOS}
     defaults: ClassVar = {**URBAN_DEFAULTS, "horizon": 600}

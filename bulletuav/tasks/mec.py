@@ -61,7 +61,7 @@ class Mec(UserService[MecConfig]):
     End: terminated on contact of collision shapes and when the battery is empty. Truncated after
     100 decisions. Drones stop at the city's edges and at the ceiling.
 
-    Success: 67 % of the episode's tasks are completed (medium 74 %, hard 71 %, extreme 71 %), and
+    Success: 67 % of the episode's tasks are completed (medium 74 %, hard 71 %, extreme 75 %), and
     the drone had no conflict or collision.
 
     Preset urbanmarl: sizes and rates of UrbanMARL 0.3.1 (docs/explanation/radio_and_edge.md).
@@ -70,7 +70,7 @@ class Mec(UserService[MecConfig]):
     version = 2
     name = "mec"
     presets: ClassVar = {"urbanmarl": URBANMARL_MEC}
-    difficulties: ClassVar = service_difficulties(medium=0.74, hard=0.71, extreme=0.71)
+    difficulties: ClassVar = service_difficulties(medium=0.74, hard=0.71, extreme=0.75)
     shows: ClassVar = EDGE_SHOWS
     service_kind = EdgeComputing
     observation = ("position", "battery", "server")
