@@ -134,7 +134,7 @@ def _record(
     clocks: Sequence[tuple[float, float]],
     kept: Path,
 ) -> dict[str, Any]:
-    """Return what a row tells: settings, times, estimates, hashes of flights and files."""
+    """Return the record of a row: settings, times, estimates, hashes of flights and files."""
     about = result.about
     spent = {
         kind: {

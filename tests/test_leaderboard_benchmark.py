@@ -210,10 +210,10 @@ def test_safe_success_ranks_before_the_score(benchmark, tmp_path):
             name: {"mean": mean, "low": mean, "high": mean, "episodes": 2}
             for name, mean in (("safe_success", success), ("return", score))
         }
-        told = {**row._asdict(), "reads_swarm": False, "episodes": 2, "estimates": estimates}
+        record = {**row._asdict(), "reads_swarm": False, "episodes": 2, "estimates": estimates}
         folder = tmp_path / "rows" / row.name
         folder.mkdir(parents=True)
-        (folder / "row.json").write_text(json.dumps(told))
+        (folder / "row.json").write_text(json.dumps(record))
         rows.append(row)
     ones = read_entries(rows, {rows[0].task: "return"}, tmp_path)[rows[0].task]
     assert [one.policy for one in ones] == ["c", "b", "a"]

@@ -3,11 +3,12 @@
 import copy
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 
 from bulletuav.envs.aviary import Aviary
+from bulletuav.tasks.base import Task
 from bulletuav.tasks.observations.observer import Observation
 from bulletuav.vehicle.swarm import Swarm
 
@@ -109,3 +110,21 @@ def check_action(policy: str, actions: tuple[str, ...], action: str) -> None:
             f"policy {policy!r} supports {' or '.join(actions)} actions, not {action!r}: "
             f"choose action={actions[0]!r}"
         )
+
+
+TaskT = TypeVar("TaskT", bound=Task[Any])
+
+
+def require_supported_task(policy: Policy, kind: type[TaskT]) -> TaskT:
+    """Return the task of a policy that supports one kind of task only.
+
+    Raises:
+        ValueError: If the task is of another kind.
+    """
+    task = policy.aviary.task
+    if not isinstance(task, kind):
+        raise ValueError(
+            f"policy {policy.name!r} supports task {kind.name!r}, not {task.name!r}: choose "
+            f"another policy"
+        )
+    return task

@@ -3,6 +3,7 @@
 import numpy as np
 
 from bulletuav.envs.aviary import Aviary
+from bulletuav.policies.base import require_supported_task
 from bulletuav.policies.scripted import Scripted
 from bulletuav.tasks.pursuit import Pursuit
 from bulletuav.vehicle.swarm import Swarm
@@ -25,12 +26,7 @@ class TrackPolicy(Scripted):
             ValueError: If the task is not `pursuit`.
         """
         super().__init__(aviary)
-        if not isinstance(aviary.task, Pursuit):
-            raise ValueError(
-                f"policy {self.name!r} supports task 'pursuit', not {aviary.task.name!r}: choose "
-                f"another policy"
-            )
-        self.task = aviary.task
+        self.task = require_supported_task(self, Pursuit)
 
     @property
     def cruising_speed(self) -> np.ndarray:

@@ -12,7 +12,7 @@ from bulletuav.compiled.kernel import func, kernel
 from bulletuav.control.actions import limit_norm
 from bulletuav.control.gains import MAX_TILT
 from bulletuav.envs.aviary import Aviary
-from bulletuav.policies.base import Policy
+from bulletuav.policies.base import Policy, require_supported_task
 from bulletuav.policies.racing_line import (
     SAMPLES,
     GatePath,
@@ -110,16 +110,12 @@ class RacePilot(Policy):
             ValueError: If the task is not `race`.
         """
         super().__init__(aviary)
-        if not isinstance(aviary.task, Race):
-            raise ValueError(
-                f"policy {self.name!r} supports task 'race', not {aviary.task.name!r}: choose "
-                f"another policy"
-            )
-        self._task, self._radius = aviary.task, aviary.task.context.collision_radius
+        self._task = require_supported_task(self, Race)
+        self._radius = self._task.context.collision_radius
         free = min(
             ACCELERATION_FRACTION,
             ACCELERATION_FRACTION
-            * (aviary.task.course.narrowest / 2 - self._radius)
+            * (self._task.course.narrowest / 2 - self._radius)
             / REFERENCE_CLEARANCE,
         )
         self._limits = RacingLimits(

@@ -241,11 +241,11 @@ def test_infos_of_the_task_are_recorded(tmp_path):
         name = "telling"
 
         def info(self, frame):
-            told = {"height": frame.after.position[..., 2], "object": np.array([[None] * 2])}
+            values = {"height": frame.after.position[..., 2], "object": np.array([[None] * 2])}
             if frame.time[0] > 0:  # of other forms, which are refused at a reset
-                told |= {"place": frame.after.position, "number": 5.0}
-            late = {"late": told["height"]} if frame.time[0] > 0.1 else {}
-            return super().info(frame) | told | late
+                values |= {"place": frame.after.position, "number": 5.0}
+            late = {"late": values["height"]} if frame.time[0] > 0.1 else {}
+            return super().info(frame) | values | late
 
     aviary = bulletuav.Aviary(Telling, num_drones=2, horizon=4, action="velocity")
     recording = fly_episode(aviary, find_policy("straight")(aviary), seed=0)

@@ -5,6 +5,7 @@ import numpy as np
 from bulletuav.compiled.functions import hypot
 from bulletuav.control.actions import limit_norm
 from bulletuav.envs.aviary import Aviary
+from bulletuav.policies.base import require_supported_task
 from bulletuav.policies.orca import Orca
 from bulletuav.registry import register
 from bulletuav.tasks.formation import Formation
@@ -44,12 +45,7 @@ class FormationPilot(Orca):
             ValueError: If the task is not `formation`.
         """
         super().__init__(aviary)
-        task = aviary.task
-        if not isinstance(task, Formation):
-            raise ValueError(
-                f"policy {self.name!r} supports task 'formation', not {task.name!r}: choose "
-                f"another policy"
-            )
+        task = require_supported_task(self, Formation)
         self.parameters = self.parameters._replace(horizon=HORIZON)
         height = self.parameters.separation + BYPASS_MARGIN
         # Every second drone flies below the formation if the ground permits

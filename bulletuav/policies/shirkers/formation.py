@@ -5,6 +5,7 @@ from abc import abstractmethod
 import numpy as np
 
 from bulletuav.envs.aviary import Aviary
+from bulletuav.policies.base import require_supported_task
 from bulletuav.policies.orca import Orca
 from bulletuav.policies.shirkers.displaced import LATE
 from bulletuav.policies.traffic import Traffic
@@ -30,12 +31,7 @@ class FormationShirker(Orca):
             ValueError: If the task is not `formation`.
         """
         super().__init__(aviary)
-        if not isinstance(aviary.task, Formation):
-            raise ValueError(
-                f"policy {self.name!r} supports task 'formation', not {aviary.task.name!r}: "
-                f"choose another policy"
-            )
-        self._plan = aviary.task.plan
+        self._plan = require_supported_task(self, Formation).plan
 
     def traffic(self, observations: Observation, swarm: Swarm) -> Traffic:
         """Return the traffic, with other goals; see `Avoidance.traffic`."""
