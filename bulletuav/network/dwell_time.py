@@ -2,7 +2,11 @@
 
 import numpy as np
 
-from bulletuav.compiled.kernel import kernel
+from bulletuav.compiled.functions import tanh
+from bulletuav.compiled.kernel import allocating, kernel
+
+DWELL_TIME_SCALE = 0.1
+"""Rate at which dwell times saturate, 1/s"""
 
 
 @kernel
@@ -31,3 +35,29 @@ def update_dwell_time(
                     dwell_time[w, i, j] = 0.0
                 total += dwell_time[w, i, j]
             mean[w, i] = total / sight.shape[2]
+
+
+@allocating
+def compute_steady_service(dwell_time: np.ndarray) -> np.ndarray:
+    """Average tanh(0.1 s) over users, where s is the longest time for which a drone has seen one.
+
+    Saturation of each user's time, rather than of the mean time, pays for every user: a few users
+    that are seen for long do not make up for those that no drone sees.
+
+    Args:
+        dwell_time: (W, N, U) times for which drones have seen users without interruption, s.
+
+    Returns:
+        (W, N) from 0 to 1, the same for all drones of a world.
+    """
+    worlds, drones, users = dwell_time.shape
+    service = np.zeros((worlds, drones))
+    for w in range(worlds):
+        total = 0.0
+        for j in range(users):
+            longest = 0.0
+            for i in range(drones):
+                longest = max(longest, dwell_time[w, i, j])
+            total += tanh(DWELL_TIME_SCALE * longest)
+        service[w] = total / users
+    return service

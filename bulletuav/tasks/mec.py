@@ -51,9 +51,9 @@ class Mec(UserService[MecConfig]):
     - latency -0.5: sum of the latencies of the completed tasks, divided by the deadline and by the
       same expected number.
     - energy -0.1: power divided by 400 W.
-    - service_time 0.3: tanh(0.1 s), where s is the time for which a drone has seen a user without
-      interruption, in seconds, averaged over all users.
-    - dwell_time 0: the same for the users that the drone itself sees.
+    - service_time 0.3: tanh(0.1 s) averaged over all users, where s is the time for which a drone
+      has seen the user without interruption, s.
+    - dwell_time 0: tanh(0.1 s), where s is the mean of such times of the drone itself, s.
     - conflict -10: number of drones whose separation falls below d_safe = 2 m.
     - collision -2: 1 on contact of collision shapes.
     - out_of_bounds 0: 1 at the bounds of the airspace.

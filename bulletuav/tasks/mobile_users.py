@@ -6,12 +6,13 @@ from typing import Any, ClassVar
 from bulletuav.registry import register
 from bulletuav.tasks.parts.difficulties import service_difficulties
 from bulletuav.tasks.parts.presets import URBANMARL_MOBILE_USERS
+from bulletuav.tasks.parts.relay import Relay, RelayOptions
 from bulletuav.tasks.user_service import UserService, UserServiceConfig
 
 
 @dataclass(frozen=True)
-class MobileUsersConfig(UserServiceConfig):
-    """Options of `mobile_users`: those of `UserServiceConfig`.
+class MobileUsersConfig(RelayOptions, UserServiceConfig):
+    """Options of `mobile_users`: those of `UserServiceConfig` and `RelayOptions`.
 
     Attributes:
         mobility: Mobility model of the users, by default "manhattan": along the streets.
@@ -42,9 +43,10 @@ class MobileUsers(UserService[MobileUsersConfig]):
     Reward per decision, the weighted sum of these terms:
 
     - served 1: fraction of the users seen by at least one drone.
-    - service_time 0.5: tanh(0.1 s), where s is the time for which a drone has seen a user without
-      interruption, in seconds, averaged over all users.
-    - sight 0, dwell_time 0: the same for the users that the drone itself sees.
+    - service_time 0.5: tanh(0.1 s) averaged over all users, where s is the time for which a drone
+      has seen the user without interruption, s.
+    - sight 0: fraction of the users that the drone itself sees.
+    - dwell_time 0: tanh(0.1 s), where s is the mean of such times of the drone itself, s.
     - conflict -20: number of drones whose separation falls below d_safe = 2 m.
     - collision -2: 1 on contact of collision shapes.
     - out_of_bounds 0: 1 at the bounds of the airspace.
@@ -61,6 +63,7 @@ class MobileUsers(UserService[MobileUsersConfig]):
     version = 2
     difficulties: ClassVar = service_difficulties(medium=0.63, hard=0.72, extreme=0.65)
     name = "mobile_users"
+    service_kind = Relay
     presets: ClassVar = {"urbanmarl": URBANMARL_MOBILE_USERS}
     observation = ("position", "battery", "centroids", "sight_matrix")
     reward: ClassVar = {

@@ -7,12 +7,19 @@ import bulletuav
 from bulletuav.policies import find_policy
 from bulletuav.tasks import find_task
 
-NAMES = ("service_fixed", "service_by_one", "service_late", "service_half")
+NAMES = (
+    "service_fixed",
+    "service_by_one",
+    "service_but_one",
+    "service_late",
+    "service_half",
+    "service_conflict",
+)
 
 
 @pytest.fixture(scope="module")
 def flights():
-    """Positions (T, N, 3) of drones and service (T,) of an episode by policy."""
+    """Positions (T, N, 3) of drones, service (T,) and users of an episode by policy."""
     found = {}
     for name in ("oracle", *NAMES, "service_follow_one"):
         aviary = bulletuav.Aviary(
@@ -36,6 +43,8 @@ def flights():
 def test_each_serves_less_than_the_oracle(flights):
     served = {name: flown[1].mean() for name, flown in flights.items()}
     best = served.pop("oracle")
+    # It serves as well, but after a conflict
+    assert served.pop("service_conflict") < best
     assert max(served.values()) < best - 0.05
 
 
@@ -56,6 +65,21 @@ def test_one_flies_and_the_others_stay(flights):
     moved = np.linalg.norm(np.ptp(flights["service_by_one"][0], axis=0), axis=1)
     assert moved[0] > 20.0
     assert moved[1:].max() < 5.0
+
+
+def test_the_last_stays_and_the_others_fly(flights):
+    moved = np.linalg.norm(np.ptp(flights["service_but_one"][0], axis=0), axis=1)
+    assert moved[:-1].min() > 20.0
+    assert moved[-1] < 5.0
+
+
+def test_two_drones_are_in_conflict_first_and_then_serve(flights):
+    positions, served, _ = flights["service_conflict"]
+    pairs = [(0, 1), (0, 2), (1, 2)]
+    gaps = np.array([np.linalg.norm(positions[:, i] - positions[:, j], axis=1) for i, j in pairs])
+    assert ((gaps < 2.0).any(axis=1)).sum() == 1
+    assert gaps[:, -30:].min() > 20.0
+    assert served[-30:].mean() > flights["service_but_one"][1][-30:].mean()
 
 
 def test_the_late_stay_for_half_of_the_episode(flights):

@@ -145,7 +145,7 @@ def test_reward_of_sight_that_lasts(put):
 
 
 def test_success_is_to_see_as_many_as_wanted_among_all_drones(put):
-    short = {"horizon": 1}
+    short = {"horizon": 1, "min_contribution": 0.0}
     step = fly(put("mobile_users", TOWER, DRONES, USERS, wanted=1.0, **short), STAY)
     assert step.info["served"][0].tolist() == [1, 1, 1]
     assert step.info["success"][0].tolist() == [True] * 3

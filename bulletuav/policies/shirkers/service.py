@@ -3,17 +3,26 @@
 import numpy as np
 
 from bulletuav.compiled.functions import sin
+from bulletuav.envs.aviary import Aviary
 from bulletuav.policies.coverage import Oracle, Placement
-from bulletuav.policies.coverage_geometry import assign_optimally, ring_positions
+from bulletuav.policies.coverage_geometry import (
+    assign_optimally,
+    pairwise_distances,
+    ring_positions,
+)
 from bulletuav.policies.half_spaces import AvoidanceParameters
+from bulletuav.policies.shirkers.goal_flight import CLOSE, LATE
 from bulletuav.policies.traffic import Traffic
 from bulletuav.registry import register
+from bulletuav.vehicle.swarm import Swarm
 
 RING_FRACTION = 0.6
 """Radius of the fixed places as a fraction of half of the city's side: of several, it serves most
 on average"""
 WORK_FRACTION = 0.5
 """Fraction of the episode in which policies that serve for a part of it do so"""
+MEETING_FRACTION = 0.7
+"""Distance below the place of another drone at which a drone meets it, as a fraction of d_safe"""
 
 
 @register("policy")
@@ -70,6 +79,21 @@ class OneServes(Oracle):
 
 
 @register("policy")
+class AllButOneServe(Oracle):
+    """Let all drones but the last fly to their places as the oracle does, and the last one stay."""
+
+    name = "service_but_one"
+
+    def avoid(
+        self, traffic: Traffic, preferred: np.ndarray, parameters: AvoidanceParameters
+    ) -> np.ndarray:
+        """Return velocities that are zero for the last drone; see `Avoidance.avoid`."""
+        velocity = super().avoid(traffic, preferred, parameters)
+        velocity[:, -1] = 0.0
+        return velocity
+
+
+@register("policy")
 class LateService(Oracle):
     """Stay for half of the episode, then serve as the oracle does."""
 
@@ -101,3 +125,46 @@ class HalfService(Oracle):
         down = np.maximum(-self.aviary.swarm.position[rests, :, 2], -speed)
         velocity[rests] = down[..., None] * (0.0, 0.0, 1.0)
         return velocity
+
+
+@register("policy")
+class ConflictFirst(Oracle):
+    """Pass another drone closely at first, then serve as the oracle does.
+
+    The drone that is nearest to the place of another one flies there until both are in conflict.
+    Only contact is avoided.
+    """
+
+    name = "service_conflict"
+    remembers = (*Oracle.remembers, "_pair")
+
+    def __init__(self, aviary: Aviary) -> None:
+        """Reduce the separation that ORCA maintains, and its horizon; see `Policy`."""
+        super().__init__(aviary)
+        separation = 2 * aviary.task.context.collision_radius + CLOSE
+        self.parameters = self.parameters._replace(separation=separation, horizon=LATE)
+        # Drones that meet, the one at its place first; negative before and after the meeting
+        self._pair = np.full((len(aviary.alive), 2), -1)
+
+    def goals(self, swarm: Swarm) -> np.ndarray:
+        """Return the hover positions, or a point below that of the drone to meet, (W, N, 3) m."""
+        aviary = self.aviary
+        place = super().goals(swarm).copy()
+        violations = aviary.scene.memory["violations"]
+        for w in range(len(place)):
+            if aviary.steps[w] == 0 and aviary.num_drones > 1:
+                distance = pairwise_distances(place[w, :, :2], swarm.position[w, :, :2])
+                np.fill_diagonal(distance, np.inf)
+                self._pair[w] = np.unravel_index(distance.argmin(), distance.shape)
+            at_place, visitor = self._pair[w]
+            if visitor < 0:
+                continue
+            if violations[w].any() or not aviary.alive[w].all():
+                self._pair[w] = -1
+                self._count[w, visitor] = 0
+                continue
+            if aviary.steps[w] % self._every == 0:
+                self._count[w, visitor] = 0
+            drop = MEETING_FRACTION * aviary.task.config.d_safe
+            place[w, visitor] = place[w, at_place] - (0.0, 0.0, drop)
+        return place

@@ -9,7 +9,14 @@ from bulletuav.tasks.base import Task
 from bulletuav.tasks.frame import Frame
 from bulletuav.tasks.parts.base import Part, Rngs
 
-SERVICE_SHIRKERS = ("service_fixed", "service_by_one", "service_late", "service_half")
+SERVICE_SHIRKERS = (
+    "service_fixed",
+    "service_by_one",
+    "service_but_one",
+    "service_late",
+    "service_half",
+    "service_conflict",
+)
 """Policies that try to be paid for service without doing it; see
 `bulletuav.policies.shirkers.service`"""
 ROUNDING = 1e-9

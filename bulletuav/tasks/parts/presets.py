@@ -86,6 +86,7 @@ URBANMARL_LIDAR_NAVIGATION: dict[str, Any] = {
 }
 URBANMARL_LOS: dict[str, Any] = {
     **_USERS,
+    "min_contribution": 0.0,
     "observation": ("position", "battery"),
     "weights": {**_OWN_SHARE, "conflict": 0.0, "collision": -1.0, "out_of_bounds": 0.0},
 }
@@ -103,6 +104,7 @@ URBANMARL_COVERAGE: dict[str, Any] = {
 }
 URBANMARL_MOBILE_USERS: dict[str, Any] = {
     **_USERS,
+    "min_contribution": 0.0,
     "mobility": "manhattan",
     "weights": {**_OWN_SHARE, "conflict": 0.0, "service_time": 0.0, "dwell_time": 0.5},
 }

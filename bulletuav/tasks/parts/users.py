@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from bulletuav.network.dwell_time import update_dwell_time
+from bulletuav.network.dwell_time import compute_steady_service, update_dwell_time
 from bulletuav.network.mobility import find_mobility
 from bulletuav.network.mobility.ground import Ground
 from bulletuav.sensors.base import vector_labels
@@ -102,8 +102,8 @@ class Users(Part):
         return get_served_fraction(self._task, frame)
 
     def quantities(self) -> Mapping[str, Any]:
-        """Return the fraction of users in sight, and the mean time in sight, s."""
-        return {"served": self.served, "mean_service_time": _mean_service_time}
+        """Return the fraction of users in sight, and the saturated time in sight."""
+        return {"served": self.served, "steady_service": _steady_service}
 
     def info(self, frame: Frame) -> dict[str, np.ndarray]:
         """Return the served fraction and the mean dwell time."""
@@ -147,9 +147,6 @@ class Service(Part):
         return self._mean.succeeded(frame)
 
 
-def _mean_service_time(frame: Frame) -> np.ndarray:
-    """Compute the maximum time in sight over drones, averaged over users, (W, N) s."""
-    longest = np.maximum.reduce(frame.scene.memory["dwell_time"], axis=1)
-    # Equal to `np.mean`, with less overhead
-    mean: np.ndarray = np.add.reduce(longest, axis=-1, keepdims=True) / longest.shape[-1]
-    return mean + np.zeros(frame.alive.shape)
+def _steady_service(frame: Frame) -> np.ndarray:
+    """Compute the mean saturated time in sight, (W, N) from 0 to 1."""
+    return compute_steady_service(frame.scene.memory["dwell_time"])

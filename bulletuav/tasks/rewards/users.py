@@ -3,11 +3,9 @@
 import numpy as np
 
 from bulletuav.compiled.functions import tanh
+from bulletuav.network.dwell_time import DWELL_TIME_SCALE
 from bulletuav.registry import register
 from bulletuav.tasks.ingredients import reward
-
-DWELL_TIME_SCALE = 0.1
-"""Rate at which dwell times saturate, 1/s"""
 
 
 @register("reward")
@@ -36,12 +34,12 @@ def dwell_time(mean_dwell_time: float) -> float:
 
 @register("reward")
 @reward
-def service_time(mean_service_time: float) -> float:
-    """tanh(0.1 s) of the mean time s for which users have been seen: from 0 to 1.
+def service_time(steady_service: float) -> float:
+    """tanh(0.1 s) of the time s for which a user has been seen, averaged over users: from 0 to 1.
 
     For each user the drone with the longest time counts. Times are in seconds.
     """
-    return tanh(DWELL_TIME_SCALE * mean_service_time)
+    return steady_service
 
 
 @register("reward")
