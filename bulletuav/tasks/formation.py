@@ -74,7 +74,8 @@ class Formation(GoalFlight[FormationConfig]):
     End: terminated on contact, when the battery is empty, or outside the arena. Truncated after 500
     decisions; hard has 750, extreme has 1,500.
 
-    Success: the drone was at its place for half of the episode, without conflict or collision.
+    Success: the drone was at its place for 70 % of the episode (medium 65 %, hard and extreme
+    55 %), without conflict or collision. Changes of shape and places take the rest.
 
     Infos: `formation_error` is the root mean square of the active drones' distances from their
     places. `shape_error` is the residual after the optimal translation and rotation of the shape.
@@ -89,6 +90,7 @@ class Formation(GoalFlight[FormationConfig]):
     shirkers: ClassVar = (
         "formation_unchanged",
         "formation_late",
+        "formation_half",
         "formation_neighbour",
         "formation_shifted",
         "formation_on_leader",
@@ -133,11 +135,17 @@ class Formation(GoalFlight[FormationConfig]):
     }
     difficulties: ClassVar = {
         "easy": {"exchange": 25.0, **AIRSPACE_DIFFICULTIES["easy"]},
-        "medium": {"shapes": ("v", "line"), "turn_rate": 2.0, **AIRSPACE_DIFFICULTIES["medium"]},
+        "medium": {
+            "shapes": ("v", "line"),
+            "turn_rate": 2.0,
+            "min_in_place": 0.65,
+            **AIRSPACE_DIFFICULTIES["medium"],
+        },
         "hard": {
             "shapes": ("v", "ring", "line"),
             "turn_rate": 2.0,
             "horizon": 750,
+            "min_in_place": 0.55,
             **AIRSPACE_DIFFICULTIES["hard"],
         },
         "extreme": {
@@ -146,6 +154,7 @@ class Formation(GoalFlight[FormationConfig]):
             "turn_rate": 1.0,
             "change_every": 75.0,
             "horizon": 1500,
+            "min_in_place": 0.55,
             **AIRSPACE_DIFFICULTIES["extreme"],
         },
     }

@@ -52,7 +52,7 @@ class HoverConfig(TaskConfig):
     start_tilt: float = field(default=0.0, metadata={"most": 180.0})
     start_rates: float = field(default=0.0, metadata={"most": 100.0})
     goal_radius: float = 0.1
-    min_in_place: float = 0.5
+    min_in_place: float = 0.7
     max_distance: float = 20.0
     land: bool = False
 
@@ -132,8 +132,9 @@ class Hover(Task[HoverConfig]):
     End: terminated on any contact of collision shapes, or farther than 20 m from the target.
     Truncated after 240 decisions.
 
-    Success: the drone was within 0.1 m of its target for half of the episode, without conflict
-    or collision; with `land` it also stood on the ground.
+    Success: the drone was within 0.1 m of its target for 70 % of the episode (medium 65 %, hard and
+    extreme 60 %), without conflict or collision; with `land` it also stood on the ground. Drones
+    need up to a third of the episode to reach their targets.
 
     Infos: `in_place` is the fraction of the time for which the drone was there.
 
@@ -143,7 +144,7 @@ class Hover(Task[HoverConfig]):
 
     version = 2
     name = "hover"
-    shirkers: ClassVar = ("hover_beside", "hover_late", "hover_passing")
+    shirkers: ClassVar = ("hover_beside", "hover_late", "hover_half", "hover_passing")
     defaults: ClassVar = {
         "num_drones": 1,
         "airframe": "cf2x",
@@ -155,6 +156,7 @@ class Hover(Task[HoverConfig]):
     difficulties: ClassVar = {
         "easy": {},
         "medium": {
+            "min_in_place": 0.65,
             "height": 3.0,
             "spacing": 4.0,
             "start_offset": 1.0,
@@ -162,6 +164,7 @@ class Hover(Task[HoverConfig]):
             "start_tilt": 20.0,
         },
         "hard": {
+            "min_in_place": 0.6,
             "height": 5.0,
             "spacing": 5.0,
             "start_offset": 1.5,
@@ -170,6 +173,7 @@ class Hover(Task[HoverConfig]):
             "start_rates": 3.0,
         },
         "extreme": {
+            "min_in_place": 0.6,
             "height": 15.0,
             "spacing": 5.0,
             "start_offset": 1.5,

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from bulletuav.policies.shirkers.displaced import Displaced
+from bulletuav.policies.shirkers.displaced import HALF, LATE, Displaced
 from bulletuav.registry import register
 from bulletuav.vehicle.swarm import Swarm
 
@@ -43,4 +43,15 @@ class FollowLate(FollowBehind):
 
     def offsets(self, swarm: Swarm) -> np.ndarray:
         """Return offsets that end late; see `Displaced.offsets`."""
-        return np.where(self.is_late(), 0.0, super().offsets(swarm))
+        return np.where(self.is_after(LATE), 0.0, super().offsets(swarm))
+
+
+@register("policy")
+class FollowHalf(FollowBehind):
+    """Follow the target at the station for half of the episode, then at a distance behind it."""
+
+    name = "follow_half"
+
+    def offsets(self, swarm: Swarm) -> np.ndarray:
+        """Return offsets that begin late; see `Displaced.offsets`."""
+        return np.where(self.is_after(HALF), super().offsets(swarm), 0.0)

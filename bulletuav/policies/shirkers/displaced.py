@@ -10,6 +10,8 @@ from bulletuav.vehicle.swarm import Swarm
 
 LATE = 0.9
 """Fraction of the episode after which policies that arrive late fly to their goals"""
+HALF = 0.5
+"""Fraction of the episode after which policies that leave early do so"""
 
 
 class Displaced(Scripted):
@@ -26,7 +28,7 @@ class Displaced(Scripted):
     def offsets(self, swarm: Swarm) -> np.ndarray:
         """Return the offsets from the goals, which broadcast to (W, N, 3), m."""
 
-    def is_late(self) -> np.ndarray:
-        """Return whether the end of the episode is near, (W, 1, 1) bool."""
-        late: np.ndarray = self.aviary.steps >= LATE * self.aviary.options.horizon
+    def is_after(self, fraction: float) -> np.ndarray:
+        """Return whether a fraction of the episode has passed, (W, 1, 1) bool."""
+        late: np.ndarray = self.aviary.steps >= fraction * self.aviary.options.horizon
         return late[:, None, None]

@@ -6,8 +6,9 @@ import numpy as np
 
 from bulletuav.envs.aviary import Aviary
 from bulletuav.policies.base import require_supported_task
+from bulletuav.policies.oracles.formation import FormationPilot
 from bulletuav.policies.orca import Orca
-from bulletuav.policies.shirkers.displaced import LATE
+from bulletuav.policies.shirkers.displaced import HALF, LATE
 from bulletuav.policies.traffic import Traffic
 from bulletuav.registry import register
 from bulletuav.tasks.formation import Formation
@@ -15,6 +16,7 @@ from bulletuav.tasks.observations.observer import Observation
 from bulletuav.tasks.parts.formations import Leader, in_world
 from bulletuav.vehicle.swarm import Swarm
 
+UP = np.array((0.0, 0.0, 1.0))
 ABOVE = 8.0
 """Height above the own place, m"""
 SHIFT = 15.0
@@ -83,8 +85,22 @@ class FormationLate(FormationShirker):
         """Return positions above the places; see `FormationShirker.targets`."""
         aviary = self.aviary
         late = aviary.steps >= LATE * aviary.options.horizon
-        above = np.where(late, 0.0, ABOVE)[:, None, None] * (0.0, 0.0, 1.0)
+        above = np.where(late, 0.0, ABOVE)[:, None, None] * UP
         return aviary.scene.goal + above, aviary.scene.goal_velocity
+
+
+@register("policy")
+class FormationHalf(FormationPilot):
+    """Hold the own place for half of the episode, then climb away from the formation."""
+
+    name = "formation_half"
+
+    def act(self, observations: Observation, swarm: Swarm) -> np.ndarray:
+        """Command a climb in the second half; see `Policy.act`."""
+        aviary = self.aviary
+        leaves = aviary.steps >= HALF * aviary.options.horizon
+        climb = self.encoded(np.zeros(swarm.position.shape) + aviary.options.max_speed * UP)
+        return np.where(leaves[:, None, None], climb, super().act(observations, swarm))
 
 
 @register("policy")

@@ -3,7 +3,7 @@
 import numpy as np
 
 from bulletuav.compiled.functions import sin
-from bulletuav.policies.shirkers.displaced import Displaced
+from bulletuav.policies.shirkers.displaced import HALF, LATE, Displaced
 from bulletuav.registry import register
 from bulletuav.vehicle.swarm import Swarm
 
@@ -32,7 +32,18 @@ class HoverLate(HoverBeside):
 
     def offsets(self, swarm: Swarm) -> np.ndarray:
         """Return an offset that ends late; see `Displaced.offsets`."""
-        return np.where(self.is_late(), 0.0, super().offsets(swarm))
+        return np.where(self.is_after(LATE), 0.0, super().offsets(swarm))
+
+
+@register("policy")
+class HoverHalf(HoverBeside):
+    """Hover at the target for half of the episode, then next to it."""
+
+    name = "hover_half"
+
+    def offsets(self, swarm: Swarm) -> np.ndarray:
+        """Return offsets that begin late; see `Displaced.offsets`."""
+        return np.where(self.is_after(HALF), super().offsets(swarm), 0.0)
 
 
 @register("policy")

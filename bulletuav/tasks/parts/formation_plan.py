@@ -49,7 +49,7 @@ class FormationConfig(AirspaceOptions, FlightConfig):
     turn_rate: float = field(default=0.0, metadata={"most": 180.0})
     start_speed: tuple[float, float] = (5.0, 5.0)
     at_goal: Literal["hold"] = "hold"
-    min_in_place: float = 0.5
+    min_in_place: float = 0.7
 
     def __post_init__(self) -> None:
         """Convert shapes to tuples, so that configs can be compared and saved."""
