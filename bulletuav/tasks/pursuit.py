@@ -6,7 +6,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from bulletuav.compiled.functions import cos, sin
+from bulletuav.compiled.functions import cos, hypot, sin
 from bulletuav.compiled.kernel import kernel
 from bulletuav.registry import register
 from bulletuav.tasks.frame import Frame, Scene, Spawn, TaskContext
@@ -40,6 +40,8 @@ class PursuitConfig(AirspaceOptions, FlightConfig):
         speed: Minimum and maximum cruising speed, m/s, drawn for each drone and episode.
         laps: Number of laps of each drone.
         slack: Maximum distance of a drone from its goal, which moves along the track, m.
+        max_cut: Maximum distance of a drone inside the track, m, measured horizontally: with the
+            slack alone, drones could fly much shorter laps.
         start_speed: Minimum and maximum speed at the start, m/s, limited to max_speed.
     """
 
@@ -48,13 +50,17 @@ class PursuitConfig(AirspaceOptions, FlightConfig):
     speed: tuple[float, float] = (10.0, 18.0)
     laps: int = 1
     slack: float = 20.0
+    max_cut: float = 15.0
     # Goals move at full speed from the start
     start_speed: tuple[float, float] = (10.0, 15.0)
 
 
 @end
 def off_schedule(is_on_schedule: bool) -> bool:
-    """Return True if the drone is farther than `slack` from its goal before the end of its laps."""
+    """Return True before the end of the laps, if the drone is off its schedule.
+
+    That is farther than `slack` from its goal, or farther than `max_cut` inside the track.
+    """
     return not is_on_schedule
 
 
@@ -78,8 +84,9 @@ class Pursuit(GoalFlight[PursuitConfig]):
     cruising speeds v are drawn evenly from 10 to 18 m/s, and sorted in each platoon of ten drones,
     the slowest first. A drone's goal moves along the track at v for one lap. The drone has to stay
     within slack = 20 m of the goal, so that it averages 0.9 v or more: it may neither wait nor
-    sprint, and drones that fly at one speed in convoy fail. With `take_off`, goals wait for a climb
-    at half of max_speed, 4 s, then speed up for as long; the slack counts from then on.
+    sprint, and drones that fly at one speed in convoy fail. It may also be no more than 15 m inside
+    the track. With `take_off`, goals wait for a climb at half of max_speed, 4 s, then speed up for
+    as long; the slack and the track count from then on.
 
     Observation, Box(58) per drone with the defaults, in world axes (east, north, up): position,
     velocity, direction and distance of the goal, the goal's velocity (its norm is v), the nearest
@@ -91,8 +98,8 @@ class Pursuit(GoalFlight[PursuitConfig]):
 
     Reward per decision, the weighted sum of these terms (see `GoalFlight` for all terms):
 
-    - lap 500: fraction of all laps that the goal moved, while the drone is within the slack and had
-      no conflict or collision.
+    - lap 500: fraction of all laps that the goal moved, while the drone is within the slack, does
+      not cut the track, and had no conflict or collision.
     - goal 500: 1 when the goal completes its laps, under the same conditions.
     - progress 0: decrease of the distance to the moving goal, m.
     - conflict -200: number of drones whose separation falls below d_safe = 5 m.
@@ -103,9 +110,9 @@ class Pursuit(GoalFlight[PursuitConfig]):
     - time -0.5: 1 per decision until the laps are complete, and per remaining decision on other
       ends.
 
-    End: terminated when the laps are complete, farther than the slack from the goal, on contact,
-    when the battery is empty, or outside the arena. Truncated after 500 decisions; extreme has
-    1,300.
+    End: terminated when the laps are complete, farther than the slack from the goal, more than 15 m
+    inside the track, on contact, when the battery is empty, or outside the arena. Truncated after
+    500 decisions; extreme has 1,300.
 
     Success: the laps are complete, without conflict or collision in the episode.
 
@@ -143,6 +150,7 @@ class Pursuit(GoalFlight[PursuitConfig]):
         "pursuit_wait_and_sprint",
         "pursuit_stop",
         "pursuit_shortcut",
+        "pursuit_inner_lanes",
         "pursuit_orbit",
         "pursuit_climb",
         "pursuit_backwards",
@@ -196,7 +204,7 @@ class Pursuit(GoalFlight[PursuitConfig]):
                 f"speed {slowest:g} m/s is too slow for {self.track_length:.4g} m of track "
                 f"within {duration:g} s: raise horizon or speed, or fly fewer laps"
             )
-        nearest, farthest = np.sqrt(3) * config.jitter, MAX_SLACK * self.track_length
+        nearest, farthest = float(np.sqrt(3) * config.jitter), MAX_SLACK * self.track_length
         if not nearest < config.slack <= farthest:
             raise ValueError(
                 f"slack is {config.slack:g} m: more than {nearest:.3g} m, by which jitter offsets "
@@ -298,11 +306,13 @@ class Pursuit(GoalFlight[PursuitConfig]):
         return due
 
     def is_on_schedule(self, frame: Frame) -> np.ndarray:
-        """Return which drones are within the slack of their goals, or were at the end, (W, N).
+        """Return which drones are near their goals and cut no corner, or were at the end, (W, N).
 
         While goals wait for the climb, all drones are on schedule.
         """
-        within: np.ndarray = frame.distance <= self.config.slack
+        config, place = self.config, frame.after.position
+        inside = config.radius - hypot(place[..., 0], place[..., 1])
+        within: np.ndarray = (frame.distance <= config.slack) & (inside <= config.max_cut)
         climbs = (frame.time < self.climb_time)[:, None]
         return within | climbs | (frame.scene.memory["reached"] > 0)
 

@@ -206,3 +206,27 @@ def test_policies_of_pursuit_need_pursuit():
         with pytest.raises(ValueError, match=r"supports task 'pursuit', not 'converge'"):
             find_policy(name)(aviary)
     aviary.close()
+
+
+@pytest.mark.parametrize(("aside", "stays"), [(-15.4, False), (-14.4, True), (15.4, True)])
+def test_drones_that_cut_the_track_are_off_their_schedule(aside, stays):
+    """The slack is 20 m, but a drone may be no more than 15 m inside the track of 60 m."""
+    aviary = bulletuav.Aviary("pursuit", num_drones=1, jitter=0.0, **EXACT)
+    aviary.reset(seeds=0)
+    aviary.swarm.position[:] += (aside, 0.0, 0.0)
+    inward = (aside / 60) * aviary.scene.goal_velocity
+    step = aviary.step((aviary.scene.goal_velocity + inward) / aviary.options.max_speed)
+    assert bool(aviary.alive[0, 0]) == stays
+    assert (step.info["reward/lap"][0, 0] > 0) == stays
+    aviary.close()
+
+
+def test_lanes_far_inside_the_track_are_not_paid_for():
+    """They are flown at less speed, and every second one is more than 15 m inside."""
+    options = {"difficulty": "medium", "dynamics": "point_mass", "action": "velocity"}
+    success = {
+        name: evaluate("pursuit", name, 3, **options).estimates()["safe_success"].mean
+        for name in ("pursuit_oracle", "pursuit_inner_lanes")
+    }
+    assert success["pursuit_oracle"] == 1.0
+    assert success["pursuit_inner_lanes"] <= 0.5

@@ -11,6 +11,8 @@ LANE_MARGIN = 2.5
 """Distance between lanes beyond d_safe, m"""
 LAG_MARGIN = 3.0
 """Distance of the outermost lanes from the slack, and of drones in one lane beyond d_safe, m"""
+CUT_MARGIN = 1.5
+"""Distance of the innermost lanes from max_cut, m"""
 MAX_SPEED_FRACTION = 0.95
 """Maximum speed in outer lanes, as a fraction of max_speed"""
 LANE_GAIN = 1.5
@@ -37,7 +39,8 @@ class PursuitOracle(TrackPolicy):
         super().__init__(aviary)
         config = self.task.config
         self.lanes = np.zeros((aviary.num_worlds, aviary.num_drones, 2))
-        self._grid = lane_grid(config.d_safe + LANE_MARGIN, config.slack - LAG_MARGIN)
+        grid = lane_grid(config.d_safe + LANE_MARGIN, config.slack - LAG_MARGIN)
+        self._grid = grid[grid[:, 0] >= CUT_MARGIN - config.max_cut]
 
     def reset(self, mask: np.ndarray) -> None:
         """Choose the lanes of the worlds in `mask` (W,)."""

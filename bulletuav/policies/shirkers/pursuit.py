@@ -11,6 +11,10 @@ ORBIT_FRACTION = 0.25
 """Radius of the inner orbit as a fraction of that of the track"""
 CUT_FRACTION = 0.8
 """Radius of the shortcut as a fraction of that of the track"""
+INNER_LANES = (16.0, 10.0)
+"""Distances of lanes inside the track, m"""
+LANE_HEIGHTS = (-9.5, -3.2, 3.2, 9.5)
+"""Heights of lanes above the track, m"""
 STOP_FRACTION = 0.85
 """Fraction of the laps after which a drone stops"""
 FINAL_DISTANCE = 10.0
@@ -136,6 +140,24 @@ class PursuitShortcut(TrackPolicy):
         """Return velocities along an inner circle; see `Scripted.velocities`."""
         aside = (CUT_FRACTION - 1) * self.task.config.radius
         return self.around(swarm, self.cruising_speed, aside)
+
+
+@register("policy")
+class PursuitInnerLanes(TrackPolicy):
+    """Fly in eight lanes far inside the track, for shorter laps without overtaking in any lane."""
+
+    name = "pursuit_inner_lanes"
+
+    def velocities(self, swarm: Swarm) -> np.ndarray:
+        """Return velocities along the lanes, next to the goals; see `Scripted.velocities`."""
+        scene, radius = self.aviary.scene, self.task.config.radius
+        index = np.arange(self.aviary.num_drones)
+        inside = np.array(INNER_LANES)[index // len(LANE_HEIGHTS) % len(INNER_LANES)]
+        scale = 1 - inside[:, None] / radius
+        height = np.array(LANE_HEIGHTS)[index % len(LANE_HEIGHTS), None] * (0.0, 0.0, 1.0)
+        place = scene.goal * (scale * (1.0, 1.0, 0.0) + (0.0, 0.0, 1.0)) + height
+        velocity: np.ndarray = GOAL_GAIN * (place - swarm.position) + scale * scene.goal_velocity
+        return velocity
 
 
 @register("policy")
