@@ -61,7 +61,7 @@ class PursuitEvasionConfig(CityOptions, ObstacleOptions, TaskConfig):
     head_start: float = 15.0
     boundary: Literal["hard", "soft", "end"] = "hard"
     city: Any = OPEN
-    area: float | tuple[float, float] = 100.0
+    area: float | tuple[float, float] = 60.0
     num_layouts: int = field(default=1, metadata={"most": 256})
     height: tuple[float, float] = (10.0, 40.0)
     ceiling: float = 50.0
@@ -106,7 +106,7 @@ class PursuitEvasion(Task[PursuitEvasionConfig]):
     """Chasers pursue evaders: a game of two teams whose main rewards are zero-sum.
 
     Drones 0 to C - 1 are chasers, the others evaders: 3 and 1 of 4. They start at rest at heights
-    of 10 to 40 m in a square of 100 m, with the chasers on one side. A chaser within 2 m of an
+    of 10 to 40 m in a square of 60 m, with the chasers on one side. A chaser within 2 m of an
     evader captures it, and the evader leaves. An evader that crashes counts as lost in the same
     way, so crashing never pays. Each drone's goal is the nearest opponent, whether in sight or not;
     blocks such as `goal` show its true position.
@@ -138,8 +138,13 @@ class PursuitEvasion(Task[PursuitEvasionConfig]):
     decisions.
 
     Success: for a chaser, all evaders are lost while it flies; for an evader, it flies at the end.
+
+    Chasers have to work together: of evaders that flee from walls, too (`flee_weighted`), three
+    chasers capture all at medium, and a single one less than half. At easy, evaders have 0.6 of the
+    speed, and one chaser can capture them.
     """
 
+    version = 2
     name = "pursuit_evasion"
     is_game = True
     shirkers: ClassVar[tuple[str, ...]] = ("chase_shadow", "chase_free_ride", "chase_once")
@@ -169,7 +174,6 @@ class PursuitEvasion(Task[PursuitEvasionConfig]):
             "city": "urban",
             "area": 200.0,
             "num_layouts": 4,
-            "chaser_speed": 0.8,
             **UNCERTAINTY["extreme"],
         },
     }
@@ -184,7 +188,7 @@ class PursuitEvasion(Task[PursuitEvasionConfig]):
         "time": (time, -0.02),
     }
     events = ("lost", "captured", "won", "chasing", "capture_payoff", "closing_payoff")
-    baseline = "lead vs flee"
+    baseline = "lead vs flee_weighted"
     places = ("start",)
     shows: ClassVar = {
         "success": "won",

@@ -28,10 +28,10 @@ def test_returns_of_teams_are_means_of_their_drones():
 def test_chasers_that_shirk_earn_less_than_the_baseline():
     found = list(incentives("pursuit_evasion", episodes=3, **POINTS))
     roles = {one.policy: one.role for one in found[1:]}
-    assert roles == assign_roles("pursuit_evasion", "lead vs flee")
+    assert roles == assign_roles("pursuit_evasion", "lead vs flee_weighted")
     assert "straight" not in roles
     assert "oracle" not in roles.values()
-    assert found[0].policy == "lead vs flee"
+    assert found[0].policy == "lead vs flee_weighted"
     assert found[0].success.mean == 1
     assert not [one for one in found if one.fault]
     assert found[1].earned.mean < 0 < found[0].earned.mean

@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 
 import bulletuav
+from bulletuav.analysis.evaluation import evaluate
+from bulletuav.analysis.metrics.teams import FIRST_SUCCESS
 from bulletuav.policies import find_policy
 
 
@@ -45,3 +47,15 @@ def test_work_ends_with_the_first_capture():
     assert aviary.scene.memory["captures"].sum() in (1, 2)
     # The two chasers may capture in the same decision, else one evader is left
     assert np.linalg.norm(positions[-1, chasers] - positions[-2, chasers], axis=-1).max() < 0.1
+
+
+def test_one_chaser_captures_less_often_than_three():
+    """Of 16 evaders that flee from walls, too, three chasers capture all but one at most."""
+    success = {}
+    for name in ("lead", "chase_free_ride"):
+        versus = f"{name} vs flee_weighted"
+        options = {"dynamics": "point_mass", "difficulty": "medium"}
+        result = evaluate("pursuit_evasion", versus, 16, metrics=(FIRST_SUCCESS,), **options)
+        success[name] = result.estimates()[FIRST_SUCCESS.name].mean
+    assert success["lead"] >= 15 / 16
+    assert success["chase_free_ride"] <= 10 / 16

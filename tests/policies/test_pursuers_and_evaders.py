@@ -98,6 +98,7 @@ def flown():
 
     def fly(name, start, teams, moving=None):
         options = {**POINTS, "num_drones": sum(teams), "teams": teams, "start": start}
+        options["area"] = 100.0
         made.append(bulletuav.Aviary("pursuit_evasion", **options))
         aviary = made[-1]
         observations = aviary.reset(seeds=0)

@@ -125,7 +125,8 @@ def test_who_chose_velocities_asks_for_them(chooser, climb):
     assert find_policy(chooser).actions == ("discrete", "velocity")
     asked = {}
     for action in ("discrete", "velocity"):
-        one = bulletuav.Aviary("pursuit_evasion", 20, **POINTS, action=action, max_climb=climb)
+        options = {**POINTS, "action": action, "max_climb": climb, "area": 100.0}
+        one = bulletuav.Aviary("pursuit_evasion", 20, **options)
         policy, observations = find_policy(chooser)(one), one.reset(seeds=0)
         asked[action] = one.action.decode(policy.act(observations, one.swarm), one.commanded)
         one.close()
