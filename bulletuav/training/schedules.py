@@ -23,6 +23,7 @@ GOAL_FLIGHT: dict[str, Any] = {
 CLOSE_FIT: dict[str, Any] = {"batch_size": 1024, "n_epochs": 6}
 """More and smaller gradient steps, for tasks in which 0.4 million decisions teach little"""
 OWN: dict[str, dict[str, Any]] = {
+    "follow": {"worlds": 64, "staggered": True, "options": {"dynamics": "point_mass"}},
     "formation": {"model": CLOSE_FIT},
     "pursuit": {"model": CLOSE_FIT},
     "pursuit_evasion": {
@@ -41,6 +42,16 @@ OWN: dict[str, dict[str, Any]] = {
             "dynamics": "point_mass",
         },
         "model": {"features": "swarm", "n_steps": 32, "batch_size": 1024},
+    },
+    "race": {
+        "worlds": 64,
+        "staggered": True,
+        # World axes, as those of actions; the direction of gates is in body axes
+        "options": {"observation": ["velocity", "goal_offset", "next_gates", "neighbours"]},
+        "model": {
+            "batch_size": 1024,
+            "policy_kwargs": {"net_arch": [64, 64], "log_std_init": -1.5},
+        },
     },
 }
 """Settings of single tasks, in addition to those of their kind"""
