@@ -25,6 +25,7 @@ CLOSE_FIT: dict[str, Any] = {"batch_size": 1024, "n_epochs": 6}
 OWN: dict[str, dict[str, Any]] = {
     "follow": {"worlds": 64, "staggered": True, "options": {"dynamics": "point_mass"}},
     "formation": {"model": CLOSE_FIT},
+    "obstacles": {"model": CLOSE_FIT},
     "pursuit": {"model": CLOSE_FIT},
     "pursuit_evasion": {
         "worlds": 64,
