@@ -149,7 +149,7 @@ class Pursuit(GoalFlight[PursuitConfig]):
     )
     training_weights: ClassVar[Mapping[str, float]] = {
         **TRAINING_WEIGHTS,
-        # Paid for `lap` alone, drones hardly learn to stay with their goals in 0.4 million decisions
+        # Paid for `lap` alone, drones hardly learn to stay with their goals
         "progress": 0.1,
         "lap": 10.0,
         "goal": 10.0,
