@@ -158,6 +158,13 @@ class Follow(Task[FollowConfig]):
         "speed": (speed_to_goal, -0.05),
         "lost": (lost, -1.0),
     }
+    training_weights: ClassVar[Mapping[str, float]] = {
+        "alive": 0.1,
+        "holding": 0.2,
+        "distance": -0.02,
+        "speed": -0.01,
+        "lost": -0.03,
+    }
     shows: ClassVar = {
         "success": "success",
         "in_place": "at station",

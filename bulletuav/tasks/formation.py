@@ -118,9 +118,9 @@ class Formation(GoalFlight[FormationConfig]):
         **TRAINING_WEIGHTS,
         "goal": 0.0,
         "holding": 0.1,
+        "progress": 0.1,
         # With the -6 of other flights, drones do not come together within a million decisions
-        "conflict": -2.0,
-        "warning": -0.03,
+        "conflict": -3.0,
         "collision": -4.0,
         "out_of_bounds": -4.0,
     }

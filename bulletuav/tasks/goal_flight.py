@@ -52,6 +52,7 @@ TRAINING_WEIGHTS = {
     "conflict": -6.0,
     "warning": -0.1,
     "collision": -5.0,
+    "obstacle_warning": -0.1,
     "out_of_bounds": -5.0,
     "energy": -0.0005,
     "time": -0.02,

@@ -1,7 +1,7 @@
 """Task `hover`: every drone reaches its own target and holds it."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import ClassVar
 
@@ -195,6 +195,7 @@ class Hover(Task[HoverConfig]):
     }
     observation = ("attitude", "goal_offset", "velocity", "rates")
     reward: ClassVar = {"alive": 1.0, "holding": (holding, 1.0), "distance": -0.1, "speed": -0.05}
+    training_weights: ClassVar[Mapping[str, float]] = {"distance": -0.2, "speed": -0.1}
     places: ClassVar[tuple[str, ...]] = PLACES
     shows: ClassVar = {
         "success": "success",

@@ -157,9 +157,11 @@ class Pursuit(GoalFlight[PursuitConfig]):
     )
     training_weights: ClassVar[Mapping[str, float]] = {
         **TRAINING_WEIGHTS,
-        "progress": 0.0,
+        # Paid for `lap` alone, drones hardly learn to stay with their goals
+        "progress": 0.1,
         "lap": 10.0,
         "goal": 10.0,
+        "time": 0.0,
     }
     presets: ClassVar = {
         "uavconflict": {**UAVCONFLICT, "weights": {**UAVCONFLICT["weights"], "lap": 0.0}}

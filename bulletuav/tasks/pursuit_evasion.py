@@ -1,5 +1,6 @@
 """Task `pursuit_evasion`: chasers try to capture evaders, which try to escape."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Literal
@@ -7,6 +8,7 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 
 from bulletuav.geometry.closest_approach import fill_paired_distances
+from bulletuav.geometry.rotation import Vec3, dot, minus
 from bulletuav.registry import register
 from bulletuav.sensors.drone_sight import DRONE_SIGHT
 from bulletuav.tasks.base import Task
@@ -81,6 +83,17 @@ def closing(closing_payoff: float) -> float:
 
 
 @reward
+def approach(distance_before: float, goal_before: Vec3, position: Vec3, chasing: bool) -> float:
+    """Own motion towards the position of the nearest opponent before the decision, m.
+
+    It is negative for evaders. Unlike `closing`, each drone is paid for its own motion alone.
+    """
+    left = minus(goal_before, position)
+    moved = distance_before - math.sqrt(dot(left, left))
+    return moved if chasing else -moved
+
+
+@reward
 def crash(lost: bool, collision: bool, captured: bool) -> float:
     """1 on a contact that ends the drone's episode and is no capture."""
     return 1.0 if lost and collision and not captured else 0.0
@@ -127,6 +140,7 @@ class PursuitEvasion(Task[PursuitEvasionConfig]):
     - capture 30: -1 for an evader that is lost, and 1 shared equally by the flying chasers.
     - closing 0.0625: decrease of an evader's distance to the nearest chaser, m: shared equally by
       the chasers, and negative for the evader.
+    - approach 0: own motion towards the nearest opponent, m; negative for evaders.
     - collision -10: 1 on a contact other than a capture.
     - out_of_bounds -0.1: 1 at the bounds of the arena.
     - energy -0.0001: squared change of velocity, (m/s)^2.
@@ -182,10 +196,18 @@ class PursuitEvasion(Task[PursuitEvasionConfig]):
     reward: ClassVar = {
         "capture": (capture, 30.0),
         "closing": (closing, 0.0625),
+        "approach": (approach, 0.0),
         "collision": (crash, -10.0),
         "out_of_bounds": -0.1,
         "energy": -0.0001,
         "time": (time, -0.02),
+    }
+    training_weights: ClassVar[Mapping[str, float]] = {
+        "capture": 4.0,
+        "closing": 0.0,
+        "approach": 0.1,
+        "collision": -2.0,
+        "time": -0.01,
     }
     events = ("lost", "captured", "won", "chasing", "capture_payoff", "closing_payoff")
     baseline = "lead vs flee_weighted"

@@ -166,6 +166,16 @@ class Race(Task[RaceConfig]):
         "energy": -0.001,
         "time": -0.5,
     }
+    training_weights: ClassVar[Mapping[str, float]] = {
+        "progress": 0.2,
+        "gate": 2.0,
+        "miss": -0.1,
+        "finish": 3.0,
+        "conflict": -1.0,
+        "collision": -2.0,
+        "out_of_bounds": -2.0,
+        "time": -0.005,
+    }
     shows: ClassVar = {
         "success": "finished",
         "goal_distance": "to gate (m)",

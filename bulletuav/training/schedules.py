@@ -20,6 +20,42 @@ GOAL_FLIGHT: dict[str, Any] = {
     "model": {"features": "swarm", "n_steps": 32, "n_epochs": 4},
 }
 """Settings of runs in flights of several drones to goals"""
+CLOSE_FIT: dict[str, Any] = {"batch_size": 1024, "n_epochs": 6}
+"""More and smaller gradient steps, for tasks in which 0.4 million decisions teach little"""
+OWN: dict[str, dict[str, Any]] = {
+    "follow": {"worlds": 64, "staggered": True, "options": {"dynamics": "point_mass"}},
+    "formation": {"model": CLOSE_FIT},
+    "obstacles": {"model": CLOSE_FIT},
+    "pursuit": {"model": CLOSE_FIT},
+    "pursuit_evasion": {
+        "worlds": 64,
+        "staggered": True,
+        "options": {
+            # The goal is the nearest opponent
+            "observation": [
+                "velocity",
+                "team",
+                "room",
+                "goal_offset",
+                "goal_velocity",
+                "teammates",
+            ],
+            "dynamics": "point_mass",
+        },
+        "model": {"features": "swarm", "n_steps": 32, "batch_size": 1024},
+    },
+    "race": {
+        "worlds": 64,
+        "staggered": True,
+        # World axes, as those of actions; the direction of gates is in body axes
+        "options": {"observation": ["velocity", "goal_offset", "next_gates", "neighbours"]},
+        "model": {
+            "batch_size": 1024,
+            "policy_kwargs": {"net_arch": [64, 64], "log_std_init": -1.5},
+        },
+    },
+}
+"""Settings of single tasks, in addition to those of their kind"""
 
 
 def default_run(task: str) -> RunConfig:
@@ -27,6 +63,7 @@ def default_run(task: str) -> RunConfig:
 
     They are the schedule `GOAL_FLIGHT` in goal flights, those of the policy of the package in other
     tasks that have one, and otherwise those of `RunConfig` with the task's weights for training.
+    Settings in `OWN` replace them.
     The difficulty, the other options of `SCENE` and the options of evaluations are the defaults of
     the task, as in `evaluate`.
 
@@ -44,12 +81,20 @@ def default_run(task: str) -> RunConfig:
         options |= {"observation": [one for one in named if one], "num_neighbours": 6}
         # It is fast, and policies that learn in it fly in dynamics with rotors, too
         options["dynamics"] = "point_mass"
-        return RunConfig(task, options=options, **GOAL_FLIGHT)
+        return _with_own(RunConfig(task, options=options, **GOAL_FLIGHT))
     if kind.name not in shipped_tasks():
-        return RunConfig(task, options=options)
+        return _with_own(RunConfig(task, options=options))
     known = shipped_run(task)
     options = {name: value for name, value in known.options.items() if name not in SCENE}
     return dataclasses.replace(known, options=options, evaluation={})
+
+
+def _with_own(run: RunConfig) -> RunConfig:
+    """Replace settings of a run by those of its task in `OWN`."""
+    own = dict(OWN.get(run.task, {}))
+    for name in ("options", "model"):
+        own[name] = {**getattr(run, name), **own.get(name, {})}
+    return dataclasses.replace(run, **own)
 
 
 def shipped_run(task: str) -> RunConfig:

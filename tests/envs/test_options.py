@@ -180,15 +180,23 @@ def test_the_name_of_a_reward_selects_the_weights_of_the_task():
     def weights(**options):
         return EnvSpec("crossing", 1, options).task.weights
 
-    usual, training = weights(), Crossing.training_weights
+    usual, training = weights(), dict(Crossing.training_weights)
+    del training["obstacle_warning"]  # `crossing` has no obstacles
     assert weights(reward="benchmark") == usual
     assert weights(reward="training") == {**usual, **training}
     # Weights for training override those of a preset, and given ones override both
     preset = weights(preset="uavconflict")
     mixed = weights(preset="uavconflict", reward="training", weights={"goal": 3.0})
     assert mixed == {**preset, **training, "goal": 3.0}
-    hover = EnvSpec("hover", 1, {"reward": "training"}).task.weights
-    assert hover == EnvSpec("hover", 1, {}).task.weights
+
+
+def test_a_task_without_weights_for_training_trains_with_those_of_the_benchmark():
+    class Plain(Crossing):
+        name = "plain"
+        training_weights: ClassVar = {}
+
+    trained = EnvSpec(Plain, 1, {"reward": "training"}).task.weights
+    assert trained == EnvSpec(Plain, 1, {}).task.weights
 
 
 def test_a_task_that_replaces_reward_terms_inherits_training_weights_of_the_others():

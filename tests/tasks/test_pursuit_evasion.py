@@ -103,6 +103,15 @@ def test_a_capture_by_hand(game):
     assert not step.info["collision"].any()
 
 
+def test_the_term_approach_pays_each_drone_for_its_own_motion(game):
+    """A chaser 3 m south and 4 m west of an evader that flies east at 10 m/s, both for 0.1 s."""
+    aviary = game([(0, 0, 20), (4, 3, 20)], (1, 1), weights={"approach": 2.0}, head_start=3.0)
+    step = placing.fly(aviary, EAST, EAST)
+    # Chaser: from 5 m to sqrt(3^2 + 3^2) m. Evader: from 5 m to sqrt(5^2 + 3^2) m
+    paid = [2 * (5 - np.sqrt(18)), 2 * (np.sqrt(34) - 5)]
+    assert told(step, "approach")[0] == pytest.approx(paid, abs=1e-6)
+
+
 def test_chasers_go_on_until_all_are_captured(game):
     start = [(0, 0, 20), (0, 12, 20), (5, 0, 20), (30, 0, 20)]
     aviary = game(start, (2, 2))

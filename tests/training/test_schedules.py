@@ -11,7 +11,7 @@ from bulletuav.policies.run import RunConfig, shipped_tasks
 from bulletuav.tasks import find_task, list_tasks
 from bulletuav.tasks.goal_flight import GoalFlight
 from bulletuav.training.models import make_model
-from bulletuav.training.schedules import GOAL_FLIGHT, default_run, shipped_run
+from bulletuav.training.schedules import GOAL_FLIGHT, OWN, default_run, shipped_run
 from bulletuav.training.trainer import train
 
 SWARM = {"dynamics": "single_integrator", "observation": ["goal_offset", "intruders"]}
@@ -29,7 +29,10 @@ def test_default_settings_use_the_weights_for_training_and_are_evaluated_by_the_
     assert weights == EnvSpec(task, 1, {}).task.weights
     if task in FLIGHTS or task not in shipped_tasks():
         trained = EnvSpec(task, 1, dict(run.options)).task.weights
-        assert trained == {**weights, **find_task(task).training_weights}
+        training = dict(find_task(task).training_weights)
+        if not weights.get("obstacle_warning"):
+            training.pop("obstacle_warning", None)  # The task has no obstacles
+        assert trained == {**weights, **training}
 
 
 @pytest.mark.parametrize("task", FLIGHTS)
@@ -39,6 +42,21 @@ def test_goal_flights_observe_offsets_of_goals_and_no_position(task):
     assert not {"position", "goal", "neighbours"} & set(run.options["observation"])
     assert run.worlds == GOAL_FLIGHT["worlds"]
     EnvSpec(task, 1, dict(run.options))
+
+
+@pytest.mark.parametrize("task", OWN)
+def test_settings_of_single_tasks_replace_those_of_their_kind(task):
+    run, own = default_run(task), OWN[task]
+    assert find_task(task).training_weights
+    assert run.options.items() >= {"reward": "training", **own.get("options", {})}.items()
+    assert run.model.items() >= own.get("model", {}).items()
+    assert run.worlds == 64
+    assert run.staggered
+
+
+def test_weights_for_training_of_hover_are_those_of_the_policy_in_the_package():
+    trained = EnvSpec("hover", 1, {"reward": "training"}).task.weights
+    assert trained == EnvSpec("hover", 1, dict(shipped_run("hover").options)).task.weights
 
 
 def test_other_tasks_with_a_policy_in_the_package_keep_its_settings():
