@@ -5,7 +5,9 @@ from typing import Any
 
 from bulletuav.policies.run import CONFIG, SCENE, RunConfig, shipped, shipped_tasks
 from bulletuav.tasks import find_task
+from bulletuav.tasks.default import Default
 from bulletuav.tasks.goal_flight import GoalFlight
+from bulletuav.tasks.user_service import UserService
 
 REPLACED = {"position": None, "goal": "goal_offset", "neighbours": "intruders"}
 """Blocks of a goal flight's observation that training leaves out (None) or replaces.
@@ -20,13 +22,39 @@ GOAL_FLIGHT: dict[str, Any] = {
     "model": {"features": "swarm", "n_steps": 32, "n_epochs": 4},
 }
 """Settings of runs in flights of several drones to goals"""
+USERS: tuple[str, ...] = (
+    "position",
+    "all_neighbours",
+    "targets",
+    "sight_matrix",
+    "sight_ahead",
+)
+"""Observation of the network `user_sum`: where users are in sight, also some metres from here"""
+SERVICE: dict[str, Any] = {
+    "steps": 800_000,
+    "worlds": 32,
+    "shared_reward": True,
+    "staggered": True,
+    "model": {
+        "features": "user_sum",
+        "n_steps": 25,
+        "batch_size": 400,
+        "n_epochs": 4,
+        # A drone sees within seconds what a move is worth
+        "gamma": 0.9,
+        "gae_lambda": 0.9,
+        "policy_kwargs": {"net_arch": [64, 64], "log_std_init": -0.7},
+    },
+}
+"""Settings of runs in tasks of service to users, which the drones of a world share"""
 
 
 def default_run(task: str) -> RunConfig:
     """Return the default settings of a training run.
 
-    They are the schedule `GOAL_FLIGHT` in goal flights, those of the policy of the package in other
-    tasks that have one, and otherwise those of `RunConfig` with the task's weights for training.
+    They are the schedule `GOAL_FLIGHT` in goal flights and in `default`, `SERVICE` in tasks with
+    users, those of the policy of the package in other tasks that have one, and otherwise those of
+    `RunConfig` with the task's weights for training.
     The difficulty, the other options of `SCENE` and the options of evaluations are the defaults of
     the task, as in `evaluate`.
 
@@ -38,13 +66,17 @@ def default_run(task: str) -> RunConfig:
     """
     kind = find_task(task)
     options: dict[str, Any] = {"reward": "training"}
-    if issubclass(kind, GoalFlight):
+    if issubclass(kind, GoalFlight | Default):
         # run.yaml has names of blocks, and no blocks that only the task's module names
         named = [REPLACED.get(one, one) for one in kind.observation if isinstance(one, str)]
         options |= {"observation": [one for one in named if one], "num_neighbours": 6}
         # It is fast, and policies that learn in it fly in dynamics with rotors, too
         options["dynamics"] = "point_mass"
         return RunConfig(task, options=options, **GOAL_FLIGHT)
+    if issubclass(kind, UserService):
+        # It is fast, and drones that move for half a minute hardly differ in other dynamics
+        options |= {"observation": list(USERS), "dynamics": "single_integrator"}
+        return RunConfig(task, options=options, **SERVICE)
     if kind.name not in shipped_tasks():
         return RunConfig(task, options=options)
     known = shipped_run(task)

@@ -9,13 +9,16 @@ from bulletuav.adapters.sb3 import DroneVecEnv
 from bulletuav.envs.env_spec import EnvSpec
 from bulletuav.policies.run import RunConfig, shipped_tasks
 from bulletuav.tasks import find_task, list_tasks
+from bulletuav.tasks.default import Default
 from bulletuav.tasks.goal_flight import GoalFlight
+from bulletuav.tasks.user_service import UserService
 from bulletuav.training.models import make_model
-from bulletuav.training.schedules import GOAL_FLIGHT, default_run, shipped_run
+from bulletuav.training.schedules import GOAL_FLIGHT, SERVICE, USERS, default_run, shipped_run
 from bulletuav.training.trainer import train
 
 SWARM = {"dynamics": "single_integrator", "observation": ["goal_offset", "intruders"]}
-FLIGHTS = [name for name in list_tasks() if issubclass(find_task(name), GoalFlight)]
+FLIGHTS = [name for name in list_tasks() if issubclass(find_task(name), GoalFlight | Default)]
+SERVICES = [name for name in list_tasks() if issubclass(find_task(name), UserService)]
 
 
 @pytest.mark.parametrize("task", list_tasks())
@@ -27,9 +30,10 @@ def test_default_settings_use_the_weights_for_training_and_are_evaluated_by_the_
     assert RunConfig.read(tmp_path / "run.yaml").text() == run.text()
     weights = EnvSpec(task, 1, run.evaluated).task.weights
     assert weights == EnvSpec(task, 1, {}).task.weights
-    if task in FLIGHTS or task not in shipped_tasks():
+    if task in FLIGHTS + SERVICES or task not in shipped_tasks():
         trained = EnvSpec(task, 1, dict(run.options)).task.weights
-        assert trained == {**weights, **find_task(task).training_weights}
+        named = find_task(task).training_weights
+        assert trained == {**weights, **{one: named[one] for one in named if one in weights}}
 
 
 @pytest.mark.parametrize("task", FLIGHTS)
@@ -39,6 +43,23 @@ def test_goal_flights_observe_offsets_of_goals_and_no_position(task):
     assert not {"position", "goal", "neighbours"} & set(run.options["observation"])
     assert run.worlds == GOAL_FLIGHT["worlds"]
     EnvSpec(task, 1, dict(run.options))
+
+
+@pytest.mark.parametrize("task", SERVICES)
+def test_services_share_a_reward_and_observe_users_for_the_network_user_sum(task):
+    run = default_run(task)
+    assert run.options["observation"] == list(USERS)
+    assert run.model["features"] == "user_sum"
+    assert run.shared_reward
+    assert run.steps == SERVICE["steps"] <= 1_000_000
+    weights = EnvSpec(task, 1, dict(run.options)).task.weights
+    rewarded = {name: weight for name, weight in weights.items() if weight > 0}
+    assert rewarded == ({"tasks": 3.0} if "tasks" in weights else {"served": 3.0})
+
+
+def test_lidar_navigation_scales_its_own_term_for_training_too():
+    weights = EnvSpec("lidar_navigation", 1, {"reward": "training"}).task.weights
+    assert (weights["proximity"], weights["conflict"], weights["progress"]) == (-0.02, -6.0, 0.05)
 
 
 def test_other_tasks_with_a_policy_in_the_package_keep_its_settings():
