@@ -26,7 +26,7 @@ TRAINING_WEIGHTS = {
     "conflict": -2.0,
     "collision": -2.0,
 }
-"""Weights for training in all tasks with users: the service by which success is judged alone"""
+"""Weights for training in tasks with users: only the service that decides success is rewarded"""
 
 
 @dataclass(frozen=True)

@@ -22,14 +22,8 @@ GOAL_FLIGHT: dict[str, Any] = {
     "model": {"features": "swarm", "n_steps": 32, "n_epochs": 4},
 }
 """Settings of runs in flights of several drones to goals"""
-USERS: tuple[str, ...] = (
-    "position",
-    "all_neighbours",
-    "targets",
-    "sight_matrix",
-    "sight_ahead",
-)
-"""Observation of the network `user_sum`: where users are in sight, also some metres from here"""
+USERS = ("position", "all_neighbours", "targets", "sight_matrix", "sight_ahead")
+"""Blocks of an observation that the network `user_sum` reads"""
 SERVICE: dict[str, Any] = {
     "steps": 800_000,
     "worlds": 32,
@@ -40,7 +34,7 @@ SERVICE: dict[str, Any] = {
         "n_steps": 25,
         "batch_size": 400,
         "n_epochs": 4,
-        # A drone sees within seconds what a move is worth
+        # The service changes with each move, so that later rewards add mostly noise
         "gamma": 0.9,
         "gae_lambda": 0.9,
         "policy_kwargs": {"net_arch": [64, 64], "log_std_init": -0.7},
@@ -52,11 +46,10 @@ SERVICE: dict[str, Any] = {
 def default_run(task: str) -> RunConfig:
     """Return the default settings of a training run.
 
-    They are the schedule `GOAL_FLIGHT` in goal flights and in `default`, `SERVICE` in tasks with
-    users, those of the policy of the package in other tasks that have one, and otherwise those of
-    `RunConfig` with the task's weights for training.
-    The difficulty, the other options of `SCENE` and the options of evaluations are the defaults of
-    the task, as in `evaluate`.
+    They are the schedule `GOAL_FLIGHT` in goal flights and in `default`, those of the policy of the
+    package in other tasks that have one, `SERVICE` in other tasks with users, and otherwise those
+    of `RunConfig` with the task's weights for training. The difficulty, the other options of
+    `SCENE` and the options of evaluations are the defaults of the task, as in `evaluate`.
 
     Args:
         task: Name of the task.
@@ -73,15 +66,15 @@ def default_run(task: str) -> RunConfig:
         # It is fast, and policies that learn in it fly in dynamics with rotors, too
         options["dynamics"] = "point_mass"
         return RunConfig(task, options=options, **GOAL_FLIGHT)
+    if kind.name in shipped_tasks():
+        known = shipped_run(task)
+        options = {name: value for name, value in known.options.items() if name not in SCENE}
+        return dataclasses.replace(known, options=options, evaluation={})
     if issubclass(kind, UserService):
-        # It is fast, and drones that move for half a minute hardly differ in other dynamics
+        # It is fast, and policies choose places, which hardly depend on the dynamics
         options |= {"observation": list(USERS), "dynamics": "single_integrator"}
         return RunConfig(task, options=options, **SERVICE)
-    if kind.name not in shipped_tasks():
-        return RunConfig(task, options=options)
-    known = shipped_run(task)
-    options = {name: value for name, value in known.options.items() if name not in SCENE}
-    return dataclasses.replace(known, options=options, evaluation={})
+    return RunConfig(task, options=options)
 
 
 def shipped_run(task: str) -> RunConfig:

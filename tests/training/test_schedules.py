@@ -18,7 +18,8 @@ from bulletuav.training.trainer import train
 
 SWARM = {"dynamics": "single_integrator", "observation": ["goal_offset", "intruders"]}
 FLIGHTS = [name for name in list_tasks() if issubclass(find_task(name), GoalFlight | Default)]
-SERVICES = [name for name in list_tasks() if issubclass(find_task(name), UserService)]
+USER_TASKS = [name for name in list_tasks() if issubclass(find_task(name), UserService)]
+SERVICES = [name for name in USER_TASKS if name not in shipped_tasks()]
 
 
 @pytest.mark.parametrize("task", list_tasks())
@@ -30,7 +31,7 @@ def test_default_settings_use_the_weights_for_training_and_are_evaluated_by_the_
     assert RunConfig.read(tmp_path / "run.yaml").text() == run.text()
     weights = EnvSpec(task, 1, run.evaluated).task.weights
     assert weights == EnvSpec(task, 1, {}).task.weights
-    if task in FLIGHTS + SERVICES or task not in shipped_tasks():
+    if task in FLIGHTS or task not in shipped_tasks():
         trained = EnvSpec(task, 1, dict(run.options)).task.weights
         named = find_task(task).training_weights
         assert trained == {**weights, **{one: named[one] for one in named if one in weights}}
@@ -52,7 +53,11 @@ def test_services_share_a_reward_and_observe_users_for_the_network_user_sum(task
     assert run.model["features"] == "user_sum"
     assert run.shared_reward
     assert run.steps == SERVICE["steps"] <= 1_000_000
-    weights = EnvSpec(task, 1, dict(run.options)).task.weights
+
+
+@pytest.mark.parametrize("task", USER_TASKS)
+def test_weights_for_training_reward_the_service_that_decides_success_alone(task):
+    weights = EnvSpec(task, 1, {"reward": "training"}).task.weights
     rewarded = {name: weight for name, weight in weights.items() if weight > 0}
     assert rewarded == ({"tasks": 3.0} if "tasks" in weights else {"served": 3.0})
 
@@ -62,8 +67,9 @@ def test_lidar_navigation_scales_its_own_term_for_training_too():
     assert (weights["proximity"], weights["conflict"], weights["progress"]) == (-0.02, -6.0, 0.05)
 
 
-def test_other_tasks_with_a_policy_in_the_package_keep_its_settings():
-    run, known = default_run("hover"), shipped_run("hover")
+@pytest.mark.parametrize("task", ["hover", "mec"])
+def test_other_tasks_with_a_policy_in_the_package_keep_its_settings(task):
+    run, known = default_run(task), shipped_run(task)
     assert (run.model, run.steps) == (known.model, known.steps)
     assert "difficulty" not in run.options
 
