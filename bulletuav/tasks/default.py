@@ -123,6 +123,13 @@ class Default(Task[DefaultConfig]):
         "collision": -10.0,
         "time": (time, -0.1),
     }
+    training_weights: ClassVar = {
+        "progress": 0.15,
+        "goal": 3.0,
+        "conflict": -4.0,
+        "collision": -4.0,
+        "time": -0.01,
+    }
     ends = (arrived, collision, leaves_arena)
     success = arrived
 

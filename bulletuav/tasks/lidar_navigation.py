@@ -1,5 +1,6 @@
 """Task `lidar_navigation`: drones fly to goals through a city that they sense by lidar alone."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -8,6 +9,7 @@ from bulletuav.tasks.frame import TaskContext
 from bulletuav.tasks.goal_flight import (
     CITY_REWARD_WEIGHTS,
     GOAL_FLIGHT_SHIRKERS,
+    TRAINING_WEIGHTS,
     FlightConfig,
     GoalFlight,
 )
@@ -91,6 +93,7 @@ class LidarNavigation(GoalFlight[LidarNavigationConfig]):
     observation = ("velocity", "goal", "battery", "room", "lidar")
     required_sensors = ("lidar",)
     reward: ClassVar = {**CITY_REWARD_WEIGHTS, "proximity": -1.0, "distance": 0.0}
+    training_weights: ClassVar[Mapping[str, float]] = {**TRAINING_WEIGHTS, "proximity": -0.02}
 
     def __init__(self, config: LidarNavigationConfig, context: TaskContext) -> None:
         """Create the cities, and check legs and the range of the term `proximity`.

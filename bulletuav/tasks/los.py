@@ -75,3 +75,9 @@ class Los(UserService[LosConfig]):
         "served": 1.0,
         "sight": 0.0,
     }
+    training_weights: ClassVar = {
+        "served": 3.0,
+        "conflict": -2.0,
+        "collision": -2.0,
+        "out_of_bounds": -2.0,
+    }

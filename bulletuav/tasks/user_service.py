@@ -1,5 +1,6 @@
 """Base class of tasks in which drones over a city serve users on the ground."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, Generic, Literal, TypeVar
 
@@ -15,6 +16,17 @@ from bulletuav.tasks.parts.obstacle_field import ObstacleField, ObstacleOptions
 from bulletuav.tasks.parts.safety import Safety
 from bulletuav.tasks.parts.urban import URBAN_DEFAULTS, check_fraction
 from bulletuav.tasks.parts.users import Service, UserOptions, Users
+
+TRAINING_WEIGHTS = {
+    "served": 3.0,
+    "tasks": 3.0,
+    "latency": 0.0,
+    "energy": 0.0,
+    "service_time": 0.0,
+    "conflict": -2.0,
+    "collision": -2.0,
+}
+"""Weights for training in tasks with users: only the service that decides success is rewarded"""
 
 
 @dataclass(frozen=True)
@@ -67,6 +79,7 @@ class UserService(Task[UserServiceConfigT], Generic[UserServiceConfigT]):
     shows: ClassVar = {"served": "served by all", "collision": "collisions"}
     service_kind: ClassVar[type[Service]] = Service
     baseline = "oracle"
+    training_weights: ClassVar[Mapping[str, float]] = TRAINING_WEIGHTS
     shirkers = (*SERVICE_SHIRKERS, "service_follow_one")
     defaults: ClassVar = {
         **URBAN_DEFAULTS,

@@ -5,7 +5,9 @@ from typing import Any
 
 from bulletuav.policies.run import CONFIG, SCENE, RunConfig, shipped, shipped_tasks
 from bulletuav.tasks import find_task
+from bulletuav.tasks.default import Default
 from bulletuav.tasks.goal_flight import GoalFlight
+from bulletuav.tasks.user_service import UserService
 
 REPLACED = {"position": None, "goal": "goal_offset", "neighbours": "intruders"}
 """Blocks of a goal flight's observation that training leaves out (None) or replaces.
@@ -56,16 +58,35 @@ OWN: dict[str, dict[str, Any]] = {
     },
 }
 """Settings of single tasks, in addition to those of their kind"""
+USERS = ("position", "all_neighbours", "targets", "sight_matrix", "sight_ahead")
+"""Blocks of an observation that the network `user_sum` reads"""
+SERVICE: dict[str, Any] = {
+    "steps": 800_000,
+    "worlds": 32,
+    "shared_reward": True,
+    "staggered": True,
+    "model": {
+        "features": "user_sum",
+        "n_steps": 25,
+        "batch_size": 400,
+        "n_epochs": 4,
+        # The service changes with each move, so that later rewards add mostly noise
+        "gamma": 0.9,
+        "gae_lambda": 0.9,
+        "policy_kwargs": {"net_arch": [64, 64], "log_std_init": -0.7},
+    },
+}
+"""Settings of runs in tasks of service to users, which the drones of a world share"""
 
 
 def default_run(task: str) -> RunConfig:
     """Return the default settings of a training run.
 
-    They are the schedule `GOAL_FLIGHT` in goal flights, those of the policy of the package in other
-    tasks that have one, and otherwise those of `RunConfig` with the task's weights for training.
-    Settings in `OWN` replace them.
-    The difficulty, the other options of `SCENE` and the options of evaluations are the defaults of
-    the task, as in `evaluate`.
+    They are the schedule `GOAL_FLIGHT` in goal flights and in `default`, those of the policy of the
+    package in other tasks that have one, `SERVICE` in other tasks with users, and otherwise those
+    of `RunConfig` with the task's weights for training. Settings in `OWN` replace them. The
+    difficulty, the other options of `SCENE` and the options of evaluations are the defaults of the
+    task, as in `evaluate`.
 
     Args:
         task: Name of the task.
@@ -75,18 +96,22 @@ def default_run(task: str) -> RunConfig:
     """
     kind = find_task(task)
     options: dict[str, Any] = {"reward": "training"}
-    if issubclass(kind, GoalFlight):
+    if issubclass(kind, GoalFlight | Default):
         # run.yaml has names of blocks, and no blocks that only the task's module names
         named = [REPLACED.get(one, one) for one in kind.observation if isinstance(one, str)]
         options |= {"observation": [one for one in named if one], "num_neighbours": 6}
         # It is fast, and policies that learn in it fly in dynamics with rotors, too
         options["dynamics"] = "point_mass"
         return _with_own(RunConfig(task, options=options, **GOAL_FLIGHT))
-    if kind.name not in shipped_tasks():
-        return _with_own(RunConfig(task, options=options))
-    known = shipped_run(task)
-    options = {name: value for name, value in known.options.items() if name not in SCENE}
-    return dataclasses.replace(known, options=options, evaluation={})
+    if kind.name in shipped_tasks():
+        known = shipped_run(task)
+        options = {name: value for name, value in known.options.items() if name not in SCENE}
+        return dataclasses.replace(known, options=options, evaluation={})
+    if issubclass(kind, UserService):
+        # It is fast, and policies choose places, which hardly depend on the dynamics
+        options |= {"observation": list(USERS), "dynamics": "single_integrator"}
+        return RunConfig(task, options=options, **SERVICE)
+    return _with_own(RunConfig(task, options=options))
 
 
 def _with_own(run: RunConfig) -> RunConfig:

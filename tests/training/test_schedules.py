@@ -9,13 +9,24 @@ from bulletuav.adapters.sb3 import DroneVecEnv
 from bulletuav.envs.env_spec import EnvSpec
 from bulletuav.policies.run import RunConfig, shipped_tasks
 from bulletuav.tasks import find_task, list_tasks
+from bulletuav.tasks.default import Default
 from bulletuav.tasks.goal_flight import GoalFlight
+from bulletuav.tasks.user_service import UserService
 from bulletuav.training.models import make_model
-from bulletuav.training.schedules import GOAL_FLIGHT, OWN, default_run, shipped_run
+from bulletuav.training.schedules import (
+    GOAL_FLIGHT,
+    OWN,
+    SERVICE,
+    USERS,
+    default_run,
+    shipped_run,
+)
 from bulletuav.training.trainer import train
 
 SWARM = {"dynamics": "single_integrator", "observation": ["goal_offset", "intruders"]}
-FLIGHTS = [name for name in list_tasks() if issubclass(find_task(name), GoalFlight)]
+FLIGHTS = [name for name in list_tasks() if issubclass(find_task(name), GoalFlight | Default)]
+USER_TASKS = [name for name in list_tasks() if issubclass(find_task(name), UserService)]
+SERVICES = [name for name in USER_TASKS if name not in shipped_tasks()]
 
 
 @pytest.mark.parametrize("task", list_tasks())
@@ -29,10 +40,8 @@ def test_default_settings_use_the_weights_for_training_and_are_evaluated_by_the_
     assert weights == EnvSpec(task, 1, {}).task.weights
     if task in FLIGHTS or task not in shipped_tasks():
         trained = EnvSpec(task, 1, dict(run.options)).task.weights
-        training = dict(find_task(task).training_weights)
-        if not weights.get("obstacle_warning"):
-            training.pop("obstacle_warning", None)  # The task has no obstacles
-        assert trained == {**weights, **training}
+        named = find_task(task).training_weights
+        assert trained == {**weights, **{one: named[one] for one in named if one in weights}}
 
 
 @pytest.mark.parametrize("task", FLIGHTS)
@@ -59,8 +68,30 @@ def test_weights_for_training_of_hover_are_those_of_the_policy_in_the_package():
     assert trained == EnvSpec("hover", 1, dict(shipped_run("hover").options)).task.weights
 
 
-def test_other_tasks_with_a_policy_in_the_package_keep_its_settings():
-    run, known = default_run("hover"), shipped_run("hover")
+@pytest.mark.parametrize("task", SERVICES)
+def test_services_share_a_reward_and_observe_users_for_the_network_user_sum(task):
+    run = default_run(task)
+    assert run.options["observation"] == list(USERS)
+    assert run.model["features"] == "user_sum"
+    assert run.shared_reward
+    assert run.steps == SERVICE["steps"] <= 1_000_000
+
+
+@pytest.mark.parametrize("task", USER_TASKS)
+def test_weights_for_training_reward_the_service_that_decides_success_alone(task):
+    weights = EnvSpec(task, 1, {"reward": "training"}).task.weights
+    rewarded = {name: weight for name, weight in weights.items() if weight > 0}
+    assert rewarded == ({"tasks": 3.0} if "tasks" in weights else {"served": 3.0})
+
+
+def test_lidar_navigation_scales_its_own_term_for_training_too():
+    weights = EnvSpec("lidar_navigation", 1, {"reward": "training"}).task.weights
+    assert (weights["proximity"], weights["conflict"], weights["progress"]) == (-0.02, -6.0, 0.05)
+
+
+@pytest.mark.parametrize("task", ["hover", "mec"])
+def test_other_tasks_with_a_policy_in_the_package_keep_its_settings(task):
+    run, known = default_run(task), shipped_run(task)
     assert (run.model, run.steps) == (known.model, known.steps)
     assert "difficulty" not in run.options
 

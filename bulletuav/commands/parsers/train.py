@@ -12,8 +12,8 @@ ABOUT = {
         "Train a policy that all drones share (extra 'sb3'). The folder of a run has run.yaml, "
         "which reproduces it, policy.safetensors, checkpoints, the learning curve and "
         "TensorBoard logs. The same command resumes an interrupted run, with the same final "
-        "weights. Defaults depend on the task: a schedule for flights to goals, and the settings "
-        "of the policy of the package in other tasks that have one."
+        "weights. Defaults depend on the task: schedules for flights to goals and for tasks with "
+        "users, or the settings of the policy of the package."
     ),
     "epilog": """examples:
   bulletuav train crossing --algo ppo --steps 2e6 --seed 0 --out crossing-run
