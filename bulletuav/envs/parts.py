@@ -182,8 +182,12 @@ def sensor_setup(options: EnvOptions, num_worlds: int, wanted: frozenset[str]) -
         num_worlds: Number of worlds W.
         wanted: Readings that are needed.
     """
-    randomization = options.randomization
-    delays = "radio_delay" in randomization.known
+
+    def longest(name: str) -> float:
+        """Return the maximum of a delay, s."""
+        known = name in options.randomization.known
+        return options.randomization.bounds(name)[1] if known else 0.0
+
     return SensorSetup(
         shape=(num_worlds, options.num_drones),
         period=1 / options.decision_hz,
@@ -195,8 +199,12 @@ def sensor_setup(options: EnvOptions, num_worlds: int, wanted: frozenset[str]) -
         camera=options.camera,
         camera_size=options.camera_size,
         camera_every=int(options.decision_hz / (options.camera_hz or options.decision_hz)),
+        camera_range=options.camera_range,
+        camera_depth=options.camera_depth,
+        camera_mounts=options.camera_mounts,
         wanted=wanted,
-        longest_delay=randomization.bounds("radio_delay")[1] if delays else 0.0,
+        longest_delay=longest("radio_delay"),
+        longest_picture_delay=longest("camera_delay"),
     )
 
 
