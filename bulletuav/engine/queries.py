@@ -18,7 +18,7 @@ from bulletuav.engine.calls import (
     bullet,
 )
 from bulletuav.engine.in_bullet import InBullet
-from bulletuav.engine.pictures import PictureMaker
+from bulletuav.engine.pictures import Look, PictureMaker
 from bulletuav.engine.tiles import cover, vertical_rays, within_tile, write_surface
 from bulletuav.geometry.city_grid import make_city_grid
 from bulletuav.geometry.obstacle import Obstacle
@@ -177,6 +177,15 @@ class EngineQueries(ABC):
         if drones is None:
             drones = Swarm.zeros(*self.shape, 1), np.zeros(self.shape, dtype=bool)
         self._picture_maker.draw(self._scenery, cameras, images, *drones)
+
+    def set_look(self, world: int, look: Look) -> None:
+        """Set the colours of `pictures` of a world: the default ones, or random ones.
+
+        Args:
+            world: Index of the world.
+            look: Strength and seed of the colours.
+        """
+        self._picture_maker.set_look(world, look)
 
     def surface_below(self, position: np.ndarray, mask: np.ndarray) -> np.ndarray:
         """Find the height of the surface below drones: ground, roof or body.

@@ -92,6 +92,7 @@ class EnvSpec:
         # Observations determine which sensors are needed
         sources = kind.observation if self.options.observation is None else self.options.observation
         self._check_observation(sources)
+        self._names = {observation_name(source) for source in sources}
         wanted = self._wanted(sources)
         self._check_cameras(wanted)
         self.setup = self._make_setup(wanted)
@@ -107,7 +108,6 @@ class EnvSpec:
         )
         drones = ObservationBuilder(STATE, *parts)
         self.state = GlobalState(self.task, drones, self.options)
-        self._names = {observation_name(source) for source in sources}
         self._require_memory(self._world_bytes())
         # If it is no class attribute, `Worlds` checks it with the instance
         consumes: object = find_dynamics(self.options.dynamics).consumes
@@ -150,7 +150,10 @@ class EnvSpec:
         return frozenset({*asked, *kind.required_sensors, *own})
 
     def _check_cameras(self, wanted: frozenset[str]) -> None:
-        """Raise ValueError for options of pictures that are not taken."""
+        """Raise ValueError for pictures that cannot be taken, and options of those not taken."""
+        # All readings of an additional camera are wanted; they are not observed
+        if self.options.camera == "bullet" and "normals" in self._names:
+            raise ValueError("camera 'bullet' draws no 'normals': use camera 'compiled'")
         for name, images in CAMERA_OPTIONS.items():
             given = getattr(self.options, name) != getattr(EnvOptions, name)
             if given and not wanted.intersection(images):

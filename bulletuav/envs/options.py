@@ -298,6 +298,8 @@ class EnvOptions:
                 f"camera_range is ({near:g}, {far:g}) m: the nearest depth must be below the "
                 f"farthest one"
             )
+        if self.camera == "bullet" and "camera_colours" in self.randomization.active:
+            raise ValueError("camera 'bullet' has its own colours: leave out camera_colours")
         if self.camera_depth == "inverse" and near == 0:
             raise ValueError(
                 "camera_depth 'inverse' needs a nearest depth above 0: set camera_range, such as "

@@ -77,6 +77,8 @@ class Randomization:
 
     For each world:
 
+    - camera_colours: strength of random colours, sunlight and windows in `rgb`: 0 for the default
+      colours, 1 for any.
     - wind: each axis of a steady wind, m/s, in addition to the options `wind` and `turbulence`.
     - radio_delay: delay of messages between drones, s.
     - radio_loss: probability that a message is lost.

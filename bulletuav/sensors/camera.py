@@ -10,6 +10,7 @@ from bulletuav.compiled.functions import cos, sin
 from bulletuav.compiled.kernel import func, kernel
 from bulletuav.engine.calls import require_bullet
 from bulletuav.engine.engine import Engine
+from bulletuav.engine.pictures import Look
 from bulletuav.geometry.raster import Cameras, Images
 from bulletuav.geometry.raycast import Poses
 from bulletuav.geometry.rotation import axes, from_euler, heading, plus, product, quat4, vec3
@@ -23,7 +24,7 @@ RENDERERS = ("compiled", "bullet")
 """Values of the option `camera`"""
 DEPTHS = ("metres", "linear", "inverse")
 """Values of the option `camera_depth`"""
-LAYERS = ("depth", "segmentation", "rgb")
+LAYERS = ("depth", "segmentation", "rgb", "normals")
 """Images in the order of `Images`"""
 RENDERED = ("rgb", "depth", "segmentation")
 """Images in the order of `Picture`"""
@@ -31,6 +32,7 @@ IMAGES = {
     "rgb": Image(0, 255, np.uint8, (3,)),
     "depth": Image(0.0, FAR, np.float32, ()),
     "segmentation": Image(SKY, DRONE, np.uint8, ()),
+    "normals": Image(-1.0, 1.0, np.float32, (3,)),
     "ray_depth": Image(0.0, FAR, np.float32, ()),
 }
 ALIASES = {"ray_depth": "depth"}
@@ -70,10 +72,15 @@ class Camera(Sensor):
         fov: (W, N) vertical field of view, degrees.
         delay: (W, N) delay of pictures, s; rounded to decisions. Until the first picture of an
             episode could be late, it is shown.
+        colours: (W,) strength of random colours of "rgb", drawn for each episode: 0 for the default
+            colours, 1 for random colours of sky, ground and each building, windows, and direction
+            of the sun.
         pictures: Requested images: "rgb" (W, N, height, width, 3) uint8; "segmentation" (W, N,
             height, width) uint8 (see `geometry.view.SKY`); "depth" (W, N, height, width) float32,
             along the view axis, in the form of the option `camera_depth`; "ray_depth", another name
-            of "depth". With several cameras, their number is the third dimension.
+            of "depth"; "normals" (W, N, height, width, 3) float32, outward unit normals of the
+            surfaces in the axes of the camera: x along the view axis, y left, z up; zero for the
+            sky. With several cameras, their number is the third dimension.
     """
 
     name = "camera"
@@ -84,6 +91,7 @@ class Camera(Sensor):
         "edge_dropout": Uncertain(0.0, 1.0),
         "fov": Uncertain(10.0, 150.0, 90.0),
         "delay": Uncertain(0.0, MAX_DELAY),
+        "colours": Uncertain(0.0, 1.0, per="world"),
     }
 
     depth_noise: np.ndarray
@@ -91,6 +99,7 @@ class Camera(Sensor):
     edge_dropout: np.ndarray
     fov: np.ndarray
     delay: np.ndarray
+    colours: np.ndarray
 
     def labels(self, setup: SensorSetup) -> Mapping[str, Image]:
         """Return the pixel types of the images."""
@@ -98,14 +107,18 @@ class Camera(Sensor):
         depths = {name: IMAGES[name]._replace(low=near, high=far) for name in DEPTH_IMAGES}
         mounts = setup.camera_mounts
         stack = (len(mounts),) if isinstance(mounts, tuple) else ()
-        return {name: one._replace(stack=stack) for name, one in (IMAGES | depths).items()}
+        images = IMAGES | depths
+        if setup.camera == "bullet":
+            del images["normals"]
+        return {name: one._replace(stack=stack) for name, one in images.items()}
 
     def attach(self, setup: SensorSetup, engine: Engine) -> None:
         """Allocate the images, and compute the rays of one camera."""
         super().attach(setup, engine)
         width, height = setup.camera_size
         labels = self.labels(setup)
-        wanted = {ALIASES.get(name, name): labels[name] for name in IMAGES if name in setup.wanted}
+        names = [name for name in labels if name in setup.wanted]
+        wanted = {ALIASES.get(name, name): labels[name] for name in names}
         self._images = {
             name: np.zeros((*setup.shape, *image.stack, height, width, *image.pixel), image.dtype)
             for name, image in wanted.items()
@@ -120,12 +133,12 @@ class Camera(Sensor):
         if late:
             self._past = {name: np.stack([one] * (late + 1), 1) for name, one in shown.items()}
             shown = {name: one.copy() for name, one in shown.items()}
-        self.pictures = {
-            name: shown[ALIASES.get(name, name)] for name in IMAGES if name in setup.wanted
-        }
+        self.pictures = {name: shown[ALIASES.get(name, name)] for name in names}
         self.needs_bodies = setup.camera == "bullet"
         if self.needs_bodies:
             require_bullet("camera 'bullet'")
+        # Strength and seed of the colours of each world, and those that the engine has
+        self._looks, self._set = np.zeros((2, setup.shape[0], 2))
         mounts = setup.camera_mounts
         self._mounts = _stack_mounts(mounts if isinstance(mounts, tuple) else (mounts,), setup)
         count = setup.shape[0] * setup.shape[1] * len(self._mounts.quaternion)
@@ -139,13 +152,26 @@ class Camera(Sensor):
             slot=next(index),
         )
 
+    def reset(self, world: int, swarm: Swarm, known: Swarm, rng: np.random.Generator) -> None:
+        """Draw the colours of a world."""
+        strength = float(self.colours[world])
+        if "rgb" in self._images:
+            self._looks[world] = strength, rng.integers(2**31) if strength else 0
+
+    def _set_looks(self) -> None:
+        """Pass colours that were drawn, or restored by a snapshot, to the engine."""
+        for w in np.flatnonzero((self._looks != self._set).any(axis=1)).tolist():
+            self.engine.set_look(w, Look(float(self._looks[w, 0]), int(self._looks[w, 1])))
+        self._set[:] = self._looks
+
     def kept(self) -> Mapping[str, np.ndarray]:
-        """Return the current and the past images; see the base class."""
+        """Return the current and the past images and the colours; see the base class."""
+        kept = {**self._images, "looks": self._looks} if "rgb" in self._images else self._images
         if not self._past:
-            return self._images
+            return kept
         past = {f"past {name}": one for name, one in self._past.items()}
         shown = {f"shown {name}": one for name, one in self.pictures.items() if name not in ALIASES}
-        return {**self._images, **past, **shown}
+        return {**kept, **past, **shown}
 
     def measure(self, moment: Moment) -> Mapping[str, np.ndarray]:
         """Take new images in worlds at which an exposure is due; hold the others."""
@@ -218,6 +244,7 @@ class Camera(Sensor):
 
     def _draw(self, swarm: Swarm, mask: np.ndarray, cameras: Cameras) -> None:
         """Draw the pictures of cameras in one batch."""
+        self._set_looks()
         self.engine.pictures(cameras, Images(*(self._rows(name) for name in LAYERS)), (swarm, mask))
 
     def _rows(self, name: str) -> np.ndarray:

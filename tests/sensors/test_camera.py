@@ -516,3 +516,48 @@ def test_edges_lose_their_depths():
         lost.append((drawn == FAR)[edge].mean())
     assert np.mean(lost) == pytest.approx(1 / 3, abs=0.02)
     engine.close()
+
+
+def test_colours_are_drawn_in_each_episode_and_kept_in_snapshots():
+    options = {"observation": ("rgb", "segmentation"), "camera_size": (32, 24)}
+    options |= {"dynamics": "point_mass", "num_layouts": 1, "num_drones": 1}
+
+    def observe(colours):
+        """Pictures of two worlds in two episodes, and after the first is restored."""
+        randomization = {} if colours is None else {"camera_colours": colours}
+        with contextlib.closing(
+            bulletuav.Aviary("lidar_navigation", 2, randomization=randomization, **options)
+        ) as aviary:
+            first = aviary.reset(seeds=(4, 5))["rgb"].copy()
+            kept = aviary.save_state()
+            second = aviary.reset(seeds=(4, 7))["rgb"].copy()
+            aviary.load_state(kept)
+            third = aviary.step(np.zeros((2, 1, 3))).observations["rgb"].copy()
+            return first, second, third
+
+    plain, _, _ = observe(None)
+    first, second, third = observe((0.5, 1.0))
+    assert (first != plain).mean() > 0.5
+    np.testing.assert_array_equal(first[0], second[0])
+    sky = first[:, 0, 0, 0]
+    assert not (sky[0] == sky[1]).all()
+    assert not (second[1, 0, 0, 0] == sky[1]).all()
+    np.testing.assert_array_equal(third[:, 0, 0, 0], sky)
+    some, _, _ = observe(0.0)
+    np.testing.assert_array_equal(some, plain)
+
+
+def test_normals_are_observed():
+    with contextlib.closing(
+        bulletuav.Aviary(
+            "hover", observation=("normals",), camera_size=(16, 12), dynamics="point_mass"
+        )
+    ) as aviary:
+        normals = aviary.reset(seeds=0)["normals"]
+        assert aviary.observer.space()["normals"].contains(normals[0, 0])
+        np.testing.assert_allclose(normals[0, 0, -1, :, 2], 1.0, rtol=1e-6)
+    with pytest.raises(ValueError, match="camera 'bullet' draws no 'normals'"):
+        bulletuav.Aviary("hover", observation="normals", camera="bullet", dynamics="point_mass")
+    options = {"camera": "bullet", "randomization": {"camera_colours": 0.5}}
+    with pytest.raises(ValueError, match="camera 'bullet' has its own colours"):
+        bulletuav.Aviary("hover", dynamics="point_mass", **options)

@@ -37,6 +37,7 @@ SOME = {
     "iron": 2.0,
     "fov": 60.0,
     "step": 0.003,
+    "colours": 0.5,
 }
 """Values of uncertain parameters, by the ends of their names"""
 CHECKED = {
