@@ -187,7 +187,7 @@ class EnvSpec:
         """
         drones, task = self.options.num_drones, self.task
         images = self._names.intersection(IMAGES)
-        mounts = self.options.camera_mounts
+        mounts = self.setup.camera_mounts
         cameras = len(mounts) if isinstance(mounts, tuple) else 1
         late = round(self.setup.longest_picture_delay / self.setup.period)
         stored = cameras * (1 + late) if images else 0

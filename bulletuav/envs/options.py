@@ -18,7 +18,7 @@ from bulletuav.geometry.obstacle import MAX_FRICTION
 from bulletuav.geometry.view import FAR
 from bulletuav.sensors.camera import DEPTHS, RENDERERS
 from bulletuav.sensors.lidar import FRAMES
-from bulletuav.sensors.mounts import FORWARD, Mounts, as_mounts
+from bulletuav.sensors.mounts import as_mounts
 from bulletuav.vehicle.airframe import STANDARD_GRAVITY, Airframe
 from bulletuav.vehicle.parameters import DEFAULT_EFFECTS, EFFECTS
 from bulletuav.vehicle.wind import (
@@ -119,10 +119,11 @@ class EnvOptions:
             the sky too.
         camera_depth: Form of depths: "metres", "linear" (0 at the nearest and 1 at the farthest
             depth), or "inverse" (linear in 1/depth: 1 at the nearest and 0 at the farthest depth).
-        gravity: Gravitational acceleration, m/s^2; 0 for none.
         camera_mounts: Direction of the camera on the drone, a dict of attributes of
             `bulletuav.sensors.mounts.Mount`, such as {"pitch": -90}; or several dicts for several
-            cameras, whose pictures are stacked: (cameras, height, width).
+            cameras, whose pictures are stacked: (cameras, height, width). None for a camera that
+            looks forward.
+        gravity: Gravitational acceleration, m/s^2; 0 for none.
         num_beams: Beams of the range finder (observation "lidar") at each elevation, evenly spaced
             in azimuth.
         max_range: Maximum range of the range finder and of the clearance, m.
@@ -177,7 +178,7 @@ class EnvOptions:
     camera_hz: int | None = None
     camera_range: tuple[float, float] = (0.0, FAR)
     camera_depth: str = "metres"
-    camera_mounts: Mounts = FORWARD
+    camera_mounts: Mapping[str, Any] | Sequence[Mapping[str, Any]] | None = None
     gravity: float = STANDARD_GRAVITY
     num_beams: int = 16
     max_range: float = 60.0
@@ -289,7 +290,10 @@ class EnvOptions:
                 )
 
     def _check_cameras(self) -> None:
-        self._keep("camera_mounts", as_mounts(self.camera_mounts))
+        # Files of runs store the plain values
+        as_mounts(self.camera_mounts)
+        if isinstance(self.camera_mounts, Sequence):
+            self._keep("camera_mounts", tuple(self.camera_mounts))
         given = as_sequence("camera_range", self.camera_range, 2)
         near, far = (finite("camera_range", depth, 0.0, FAR) for depth in given)
         self._keep("camera_range", (near, far))

@@ -21,6 +21,7 @@ from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.geometry.solids import Solids
 from bulletuav.sensors.base import Sensor, SensorSetup
 from bulletuav.sensors.lidar import make_beams
+from bulletuav.sensors.mounts import as_mounts
 from bulletuav.sensors.suite import SensorSuite
 from bulletuav.vehicle.parameters import parameter_rows
 from bulletuav.vehicle.swarm import Swarm
@@ -201,7 +202,7 @@ def sensor_setup(options: EnvOptions, num_worlds: int, wanted: frozenset[str]) -
         camera_every=int(options.decision_hz / (options.camera_hz or options.decision_hz)),
         camera_range=options.camera_range,
         camera_depth=options.camera_depth,
-        camera_mounts=options.camera_mounts,
+        camera_mounts=as_mounts(options.camera_mounts),
         wanted=wanted,
         longest_delay=longest("radio_delay"),
         longest_picture_delay=longest("camera_delay"),

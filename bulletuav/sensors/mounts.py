@@ -63,13 +63,13 @@ Mounts = Mount | tuple[Mount, ...]
 
 
 def as_mounts(value: Any) -> Mounts:
-    """Convert the option `camera_mounts`: a dict of `Mount`'s attributes, or several dicts.
+    """Convert the option `camera_mounts`: None, a dict of `Mount`'s attributes, or several dicts.
 
     Raises:
         ValueError: If a name or a value is invalid.
     """
-    if isinstance(value, Mount):
-        return value
+    if value is None:
+        return FORWARD
     if isinstance(value, Mapping):
         known = [one.name for one in dataclasses.fields(Mount)]
         for name in value:
@@ -83,11 +83,10 @@ def as_mounts(value: Any) -> Mounts:
 
 
 def _as_mount(value: Any) -> Mount:
-    """Convert one of several mounts."""
-    if not isinstance(value, Mount | Mapping):
+    """Convert the mount of one of several cameras."""
+    mount = as_mounts(value) if isinstance(value, Mapping) else None
+    if not isinstance(mount, Mount):
         raise ValueError(
             f"camera_mounts has {shown(value)}: a dict such as {{'pitch': -90}} is needed"
         )
-    mount = as_mounts(value)
-    assert isinstance(mount, Mount)
     return mount

@@ -1,5 +1,6 @@
 import contextlib
 import dataclasses
+import json
 
 import numpy as np
 import pytest
@@ -407,7 +408,8 @@ def test_pictures_of_several_cameras_are_stacked():
             action = np.full((2, 2, 3), 0.5)
             return aviary.step(action).observations, aviary.observer.space()
 
-    together, space = observe(mounts)
+    # As files of runs store them
+    together, space = observe(json.loads(json.dumps(mounts)))
     assert together["depth"].shape == (2, 2, 3, 12, 16)
     assert together["rgb"].shape == (2, 2, 3, 12, 16, 3)
     assert all(space[name].contains(together[name][0, 0]) for name in images)
