@@ -12,6 +12,7 @@ from bulletuav.geometry.raster import (
     CHECKER_CONTRAST,
     Cameras,
     Canvas,
+    Earlier,
     Images,
     Paint,
     PixelRays,
@@ -144,8 +145,12 @@ class PictureMaker:
         images: Images,
         swarm: Poses,
         mask: np.ndarray,
+        earlier: Earlier | None,
     ) -> None:
         """Draw pictures; see `Engine.pictures`."""
+        if earlier is None:
+            now = (swarm.position, swarm.quaternion), (scenery.place, scenery.quaternion)
+            earlier = Earlier(cameras.eye, cameras.quaternion, *now)
         if scenery.table is not self._table:
             self._set_faces(scenery)
         rays, canvas = self._memory(images)
@@ -160,12 +165,13 @@ class PictureMaker:
             mask,
             canvas,
             images,
+            earlier,
         )
 
     def _memory(self, images: Images) -> tuple[PixelRays, Canvas]:
         """Return memory of the present thread for pictures of a size."""
         height, width = images.depth.shape[1:]
-        has_faces = bool(len(images.labels) or len(images.colours) or len(images.normals))
+        has_faces = any(len(one) for one in images if one is not images.depth)
         key = (width, height, has_faces)
         if getattr(self._local, "key", None) != key or self._local.table is not self._table:
             rays = make_pixel_rays(width, height)

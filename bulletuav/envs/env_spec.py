@@ -23,7 +23,7 @@ from bulletuav.errors import (
     unknown,
 )
 from bulletuav.sensors.base import SensorSetup
-from bulletuav.sensors.camera import DEPTH_IMAGES, IMAGES
+from bulletuav.sensors.camera import COMPILED_ONLY, DEPTH_IMAGES, IMAGES
 from bulletuav.sensors.lidar import make_beams
 from bulletuav.sensors.suite import provider
 from bulletuav.tasks import TaskSource, find_task
@@ -152,8 +152,9 @@ class EnvSpec:
     def _check_cameras(self, wanted: frozenset[str]) -> None:
         """Raise ValueError for pictures that cannot be taken, and options of those not taken."""
         # All readings of an additional camera are wanted; they are not observed
-        if self.options.camera == "bullet" and "normals" in self._names:
-            raise ValueError("camera 'bullet' draws no 'normals': use camera 'compiled'")
+        for name in COMPILED_ONLY:
+            if self.options.camera == "bullet" and name in self._names:
+                raise ValueError(f"camera 'bullet' draws no {name!r}: use camera 'compiled'")
         for name, images in CAMERA_OPTIONS.items():
             given = getattr(self.options, name) != getattr(EnvOptions, name)
             if given and not wanted.intersection(images):

@@ -55,6 +55,8 @@ EDGE_SLACK = 1e-9
 """Distance from an edge within which pixels belong to a solid, pixels"""
 NEAREST = 1e-3
 """Depth of a corner below which a solid may cover the whole picture, m"""
+MAX_FLOW = 1000.0
+"""Maximum of the flow along each axis, pixels"""
 CHECKER_SIDE = 5.0
 """Side of the squares of the ground in colour pictures, m"""
 CHECKER_CONTRAST = 24.0
@@ -157,6 +159,22 @@ class Paint(NamedTuple):
     windows: np.ndarray
 
 
+class Earlier(NamedTuple):
+    """Poses of cameras, drones and bodies at an earlier time, from which flow is measured.
+
+    Attributes:
+        eye: (C, 3) positions of the cameras, m.
+        quaternion: (C, 4) their attitudes.
+        drones: Positions (W, N, 3), m, and attitudes (W, N, 4) of the drones.
+        bodies: Positions (W, R, 3), m, and attitudes (W, R, 4) of the bodies.
+    """
+
+    eye: np.ndarray
+    quaternion: np.ndarray
+    drones: tuple[np.ndarray, np.ndarray]
+    bodies: tuple[np.ndarray, np.ndarray]
+
+
 class Images(NamedTuple):
     """Pictures to be drawn; those with no rows are not.
 
@@ -167,12 +185,16 @@ class Images(NamedTuple):
         normals: (P, height, width, 3) float32, outward unit normals of the surfaces in the axes of
             the camera (x along the view axis, y left, z up); zero for the sky. From within a box or
             hull, they are those of one of its faces.
+        flow: (P, height, width, 2) float32, motion of the shown points of surfaces since an earlier
+            time, to the right and down, pixels, up to MAX_FLOW; zero for points that were behind
+            the camera. The sky is infinitely far away.
     """
 
     depth: np.ndarray
     labels: np.ndarray
     colours: np.ndarray
     normals: np.ndarray = np.zeros((0, 1, 1, 3), dtype=np.float32)
+    flow: np.ndarray = np.zeros((0, 1, 1, 2), dtype=np.float32)
 
 
 def make_pixel_rays(width: int, height: int, tangent: float = 1.0) -> PixelRays:
@@ -1061,6 +1083,76 @@ def _write_normals(
 
 
 @kernel
+def _write_flow(
+    canvas: Canvas,
+    rays: PixelRays,
+    view: View,
+    view0: View,
+    faces: Faces,
+    first_body: int,
+    first_piece: int,
+    now: tuple[tuple[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]],
+    earlier: tuple[tuple[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]],
+    w: int,
+    flow: np.ndarray,
+    c: int,
+) -> None:
+    """Write the flow of a picture.
+
+    Args:
+        canvas: The picture.
+        rays: Rays of the picture.
+        view: Eye and axes of the camera.
+        view0: The same at the earlier time.
+        faces: Faces of the shapes.
+        first_body: First shape of the bodies, which follow those of drones.
+        first_piece: First shape of the city's pieces.
+        now: Poses of drones and of bodies, see `Earlier`.
+        earlier: The same at the earlier time.
+        w: The world.
+        flow: (P, height, width, 2); written.
+        c: Index of the picture.
+    """
+    eye0, forward0, left0, up0 = view0
+    height, width = flow.shape[1:3]
+    half_x = rays.x[0]
+    half_y = -rays.y[height - 1]
+    for v in range(height):
+        for u in range(width):
+            face = canvas.face[v, u]
+            here = _ray(rays, view, v, u)
+            if face != SKY_FACE:
+                place = plus(view[0], 1.0 / canvas.inverse[v, u], here)
+                s = faces.shape[face]
+                if 0 <= s < first_piece:
+                    k = 0 if s < first_body else 1
+                    r = s - k * first_body
+                    local = to_body(quat4(now[k][1], w, r), minus(place, vec3(now[k][0], w, r)))
+                    turned = to_world(quat4(earlier[k][1], w, r), local)
+                    place = plus(vec3(earlier[k][0], w, r), 1.0, turned)
+                here = minus(place, eye0)
+            ahead = dot(forward0, here)
+            across = 0.0
+            down = 0.0
+            if ahead > 0.0:
+                # The inverse of `make_pixel_rays`
+                x = dot(left0, here) / ahead
+                y = dot(up0, here) / ahead
+                across = u - 0.5 * width * (1.0 - x / half_x)
+                down = v - (0.5 * height * (1.0 - y / half_y) - 1.0)
+            flow[c, v, u, 0] = min(max(across, -MAX_FLOW), MAX_FLOW)
+            flow[c, v, u, 1] = min(max(down, -MAX_FLOW), MAX_FLOW)
+
+
+@func
+def _camera_view(eye: np.ndarray, quaternion: np.ndarray, c: int) -> View:
+    """Return the eye and the axes of camera c."""
+    turn = (quaternion[c, 0], quaternion[c, 1], quaternion[c, 2], quaternion[c, 3])
+    forward, left, up = axes(turn)
+    return point(eye, c), forward, left, up
+
+
+@kernel
 def draw_pictures(
     cameras: Cameras,
     rays: PixelRays,
@@ -1072,6 +1164,7 @@ def draw_pictures(
     mask: np.ndarray,
     canvas: Canvas,
     images: Images,
+    earlier: Earlier,
 ) -> None:
     """Draw the pictures of cameras.
 
@@ -1086,6 +1179,7 @@ def draw_pictures(
         mask: (W, N) bool, drones that are shown.
         canvas: Memory for drawing.
         images: Pictures; written.
+        earlier: Poses from which flow is measured; not read without flow.
     """
     # Read the fields of the scenery once: nested tuples are slow in loops
     layouts = scenery.city_grid.layout
@@ -1095,15 +1189,7 @@ def draw_pictures(
     for c in range(cameras.world.shape[0]):
         w = cameras.world[c]
         _set_rays(rays, cameras.tangent[c])
-        forward, left, up = axes(
-            (
-                cameras.quaternion[c, 0],
-                cameras.quaternion[c, 1],
-                cameras.quaternion[c, 2],
-                cameras.quaternion[c, 3],
-            )
-        )
-        view = (point(cameras.eye, c), forward, left, up)
+        view = _camera_view(cameras.eye, cameras.quaternion, c)
         _draw_ground(canvas, rays, view)
         if layouts[w] != NO_LAYOUT:
             _draw_city(
@@ -1162,5 +1248,20 @@ def draw_pictures(
                 (scenery.place, scenery.quaternion),
                 w,
                 images.normals,
+                cameras.slot[c],
+            )
+        if images.flow.shape[0] > 0:
+            _write_flow(
+                canvas,
+                rays,
+                view,
+                _camera_view(earlier.eye, earlier.quaternion, c),
+                faces,
+                scenery.first_body,
+                scenery.first_piece,
+                ((swarm.position, swarm.quaternion), (scenery.place, scenery.quaternion)),
+                (earlier.drones, earlier.bodies),
+                w,
+                images.flow,
                 cameras.slot[c],
             )

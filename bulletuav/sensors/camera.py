@@ -11,7 +11,7 @@ from bulletuav.compiled.kernel import func, kernel
 from bulletuav.engine.calls import require_bullet
 from bulletuav.engine.engine import Engine
 from bulletuav.engine.pictures import Look
-from bulletuav.geometry.raster import Cameras, Images
+from bulletuav.geometry.raster import MAX_FLOW, Cameras, Earlier, Images
 from bulletuav.geometry.raycast import Poses
 from bulletuav.geometry.rotation import axes, from_euler, heading, plus, product, quat4, vec3
 from bulletuav.geometry.view import DRONE, FAR, SKY, projection_matrix, view_matrix
@@ -24,7 +24,7 @@ RENDERERS = ("compiled", "bullet")
 """Values of the option `camera`"""
 DEPTHS = ("metres", "linear", "inverse")
 """Values of the option `camera_depth`"""
-LAYERS = ("depth", "segmentation", "rgb", "normals")
+LAYERS = ("depth", "segmentation", "rgb", "normals", "flow")
 """Images in the order of `Images`"""
 RENDERED = ("rgb", "depth", "segmentation")
 """Images in the order of `Picture`"""
@@ -33,6 +33,7 @@ IMAGES = {
     "depth": Image(0.0, FAR, np.float32, ()),
     "segmentation": Image(SKY, DRONE, np.uint8, ()),
     "normals": Image(-1.0, 1.0, np.float32, (3,)),
+    "flow": Image(-MAX_FLOW, MAX_FLOW, np.float32, (2,)),
     "ray_depth": Image(0.0, FAR, np.float32, ()),
 }
 ALIASES = {"ray_depth": "depth"}
@@ -41,6 +42,8 @@ EDGE_BEND = 0.1
 """Second difference of 1/depth at an edge, as a fraction of 1/depth of the nearest pixel"""
 MAX_DELAY = 2.0
 """Maximum delay of pictures, s"""
+COMPILED_ONLY = ("normals", "flow")
+"""Images that PyBullet's renderer does not draw"""
 DEPTH_IMAGES = ("depth", "ray_depth")
 
 
@@ -80,7 +83,9 @@ class Camera(Sensor):
             along the view axis, in the form of the option `camera_depth`; "ray_depth", another name
             of "depth"; "normals" (W, N, height, width, 3) float32, outward unit normals of the
             surfaces in the axes of the camera: x along the view axis, y left, z up; zero for the
-            sky. With several cameras, their number is the third dimension.
+            sky; "flow" (W, N, height, width, 2) float32, motion of surfaces in the picture since
+            the last decision, to the right and down, pixels. With several cameras, their number is
+            the third dimension.
     """
 
     name = "camera"
@@ -109,11 +114,11 @@ class Camera(Sensor):
         stack = (len(mounts),) if isinstance(mounts, tuple) else ()
         images = IMAGES | depths
         if setup.camera == "bullet":
-            del images["normals"]
+            images = {name: one for name, one in images.items() if name not in COMPILED_ONLY}
         return {name: one._replace(stack=stack) for name, one in images.items()}
 
     def attach(self, setup: SensorSetup, engine: Engine) -> None:
-        """Allocate the images, and compute the rays of one camera."""
+        """Allocate the images and the cameras."""
         super().attach(setup, engine)
         width, height = setup.camera_size
         labels = self.labels(setup)
@@ -142,15 +147,8 @@ class Camera(Sensor):
         mounts = setup.camera_mounts
         self._mounts = _stack_mounts(mounts if isinstance(mounts, tuple) else (mounts,), setup)
         count = setup.shape[0] * setup.shape[1] * len(self._mounts.quaternion)
-        index = (np.zeros(count, dtype=np.int64) for _ in range(3))
-        self._cameras = Cameras(
-            world=next(index),
-            drone=next(index),
-            eye=np.zeros((count, 3)),
-            quaternion=np.zeros((count, 4)),
-            tangent=np.zeros(count),
-            slot=next(index),
-        )
+        self._cameras, self._earlier = _empty_cameras(count), _empty_cameras(count)
+        self._bodies = [np.zeros((setup.shape[0], 0, width)) for width in (3, 4)]
 
     def reset(self, world: int, swarm: Swarm, known: Swarm, rng: np.random.Generator) -> None:
         """Draw the colours of a world."""
@@ -167,6 +165,8 @@ class Camera(Sensor):
     def kept(self) -> Mapping[str, np.ndarray]:
         """Return the current and the past images and the colours; see the base class."""
         kept = {**self._images, "looks": self._looks} if "rgb" in self._images else self._images
+        if "flow" in self._images:
+            kept = {**kept, "bodies": self._bodies[0], "attitudes": self._bodies[1]}
         if not self._past:
             return kept
         past = {f"past {name}": one for name, one in self._past.items()}
@@ -176,6 +176,11 @@ class Camera(Sensor):
     def measure(self, moment: Moment) -> Mapping[str, np.ndarray]:
         """Take new images in worlds at which an exposure is due; hold the others."""
         swarm, mask = moment.after, moment.mask
+        flown: np.ndarray = np.any(mask, axis=1)
+        if "flow" in self._images:
+            # Bodies have not moved before a reset, and after one was added
+            is_new = self._bodies[0].shape != self.engine.scenery.place.shape
+            self._store_bodies(flown & ((moment.steps == 0) | is_new))
         exposed = moment.steps % self.setup.camera_every == 0
         due = mask & exposed[:, None]
         count = _place_cameras(swarm, due, self._mounts, self.fov, self._cameras)
@@ -183,7 +188,9 @@ class Camera(Sensor):
         if self.needs_bodies:
             self._render(cameras)
         elif count:
-            self._draw(swarm, mask, cameras)
+            self._draw(moment, due, cameras)
+        if "flow" in self._images:
+            self._store_bodies(flown)
         if "depth" in self._images:
             self._add_noise(self._images["depth"], due, moment.rngs)
             self._scale_depth(due)
@@ -242,10 +249,30 @@ class Camera(Sensor):
             depth = self._images["depth"]
             scale_depths(depth.reshape(*depth.shape[:2], -1), due, near, far, form)
 
-    def _draw(self, swarm: Swarm, mask: np.ndarray, cameras: Cameras) -> None:
-        """Draw the pictures of cameras in one batch."""
+    def _draw(self, moment: Moment, due: np.ndarray, cameras: Cameras) -> None:
+        """Draw the pictures of cameras, those of the drones in `due` (W, N), in one batch."""
         self._set_looks()
-        self.engine.pictures(cameras, Images(*(self._rows(name) for name in LAYERS)), (swarm, mask))
+        earlier = None
+        if "flow" in self._images:
+            before = moment.before
+            count = _place_cameras(before, due, self._mounts, self.fov, self._earlier)
+            earlier = Earlier(
+                self._earlier.eye[:count],
+                self._earlier.quaternion[:count],
+                (before.position, before.quaternion),
+                (self._bodies[0], self._bodies[1]),
+            )
+        images = Images(*(self._rows(name) for name in LAYERS))
+        self.engine.pictures(cameras, images, (moment.after, moment.mask), earlier)
+
+    def _store_bodies(self, worlds: np.ndarray) -> None:
+        """Store the present poses of bodies in the worlds of a mask (W,)."""
+        scenery = self.engine.scenery
+        present = (scenery.place, scenery.quaternion)
+        if self._bodies[0].shape != scenery.place.shape:
+            self._bodies = [one.copy() for one in present]
+        for stored, one in zip(self._bodies, present, strict=True):
+            stored[worlds] = one[worlds]
 
     def _rows(self, name: str) -> np.ndarray:
         """Return a view of an image with a row for each camera; no rows if it is not requested."""
@@ -340,6 +367,19 @@ def scale_depths(depth: np.ndarray, due: np.ndarray, near: float, far: float, fo
                 elif form == 2:
                     z = (1.0 / z - 1.0 / far) / (1.0 / near - 1.0 / far)
                 depth[w, i, p] = z
+
+
+def _empty_cameras(count: int) -> Cameras:
+    """Allocate cameras, which are still to be placed."""
+    index = (np.zeros(count, dtype=np.int64) for _ in range(3))
+    return Cameras(
+        world=next(index),
+        drone=next(index),
+        eye=np.zeros((count, 3)),
+        quaternion=np.zeros((count, 4)),
+        tangent=np.zeros(count),
+        slot=next(index),
+    )
 
 
 class _Mounts(NamedTuple):

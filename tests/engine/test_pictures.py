@@ -6,13 +6,14 @@ import threading
 import numpy as np
 import pytest
 import sensing
+from scipy.spatial.transform import Rotation
 
 import bulletuav
 from bulletuav.city.generator import generate
 from bulletuav.engine.engine import Engine
 from bulletuav.engine.pictures import Look
 from bulletuav.geometry.obstacle import Obstacle
-from bulletuav.geometry.raster import Cameras, Images, make_pixel_rays
+from bulletuav.geometry.raster import MAX_FLOW, Cameras, Earlier, Images, make_pixel_rays
 from bulletuav.geometry.rotation import axes, from_euler, to_world
 from bulletuav.geometry.shapes import HULL
 from bulletuav.geometry.solids import Solids, box_corners
@@ -35,7 +36,7 @@ WALLS = np.array(
 )
 
 
-def blank(pictures, lens=LENS, depth=True, labels=True, colours=True, normals=True):
+def blank(pictures, lens=LENS, depth=True, labels=True, colours=True, normals=True, flow=True):
     """Pictures to be drawn."""
     size = (len(lens.y), len(lens.x))
     return Images(
@@ -43,6 +44,7 @@ def blank(pictures, lens=LENS, depth=True, labels=True, colours=True, normals=Tr
         np.zeros((pictures * labels, *size), dtype=np.uint8),
         np.zeros((pictures * colours, *size, 3), dtype=np.uint8),
         np.zeros((pictures * normals, *size, 3), dtype=np.float32),
+        np.zeros((pictures * flow, *size, 2), dtype=np.float32),
     )
 
 
@@ -571,4 +573,72 @@ def test_windows_are_where_coordinates_on_walls_say():
     expected = np.clip(kinds[0][0] + lit, 0, 255)
     assert np.abs(kinds[1][0] - expected).max() <= 1
     assert 0.05 < is_window.mean() < 0.7
+    engine.close()
+
+
+def test_flow_is_the_motion_of_projected_points():
+    """Of walls, ground and sky, of a ball that rolls, and of another drone, by SciPy's rotations.
+
+    Two cameras move and turn in different ways; one has a narrow field of view.
+    """
+    engine = sensing.open_world((Solids(WALLS),), drones=2, obstacles=(Obstacle("sphere", (2.0,)),))
+    rng = np.random.default_rng(2)
+
+    def random_turns(count):
+        return Rotation.from_euler("ZYX", rng.uniform(-0.2, 0.2, (count, 3)))
+
+    # Positions and attitudes of the cameras, the ball and the drones: earlier, and now
+    eye = np.array([(0.0, -3.0, 12.0), (-3.0, 1.0, 10.0)])
+    ball, drone = np.array([(15.0, -4.0, 11.0)]), np.array([(0.0, 90.0, 9.0), (6.0, 0.5, 11.0)])
+    places = [(one + rng.normal(size=one.shape) * 0.3, one) for one in (eye, ball, drone)]
+    turns = [(random_turns(len(one)), random_turns(len(one))) for one in (eye, ball, drone)]
+    states = [[(a[k], b[k].as_quat()) for a, b in zip(places, turns, strict=True)] for k in (0, 1)]
+    before, now = states
+    engine.set_obstacles(*(one[None] for one in now[1]), np.ones(1, dtype=bool))
+    swarm = sensing.swarm_of(1, 2, now[2][0], quaternion=now[2][1])
+    cameras = cameras_of([0, 0], *now[0])._replace(tangent=np.array([1.0, 0.6]))
+    earlier = Earlier(
+        *before[0], tuple(one[None] for one in before[2]), tuple(one[None] for one in before[1])
+    )
+    images = blank(2)
+    engine.pictures(cameras, images, (swarm, np.ones((1, 2), dtype=bool)), earlier)
+    assert set(np.unique(images.labels)) == {SKY, LAND, BUILDING, OBSTACLE, DRONE}
+    row, column = np.indices((36, 48))
+    for c, tangent in enumerate((1.0, 0.6)):
+        lens = make_pixel_rays(48, 36, tangent)
+        rays = np.stack(np.broadcast_arrays(1.0, lens.x, lens.y[:, None]), axis=-1)
+        rays = turns[0][1][c].apply(rays.reshape(-1, 3)).reshape(rays.shape)
+        away = images.depth[c].astype(float)[..., None] * rays
+        points = places[0][1][c] + away
+        labels = images.labels[c]
+        for label, kind, k in ((OBSTACLE, 1, 0), (DRONE, 2, 1)):
+            shown = labels == label
+            local = turns[kind][1][k].inv().apply(points[shown] - places[kind][1][k])
+            points[shown] = places[kind][0][k] + turns[kind][0][k].apply(local)
+        seen = points - places[0][0][c]
+        seen[labels == SKY] = away[labels == SKY]
+        seen = turns[0][0][c].inv().apply(seen.reshape(-1, 3)).reshape(seen.shape)
+        # Columns and rows of the earlier picture, by the focal length
+        focal = 18 / tangent
+        column0 = 24 - focal * seen[..., 1] / seen[..., 0]
+        row0 = 17 - focal * seen[..., 2] / seen[..., 0]
+        expected = np.stack([column - column0, row - row0], axis=-1)
+        ahead = seen[..., 0] > 0.1
+        assert ahead.mean() > 0.99
+        np.testing.assert_allclose(images.flow[c][ahead], expected[ahead], rtol=1e-4, atol=1e-3)
+        assert np.abs(images.flow[c]).max() < MAX_FLOW
+        assert np.abs(images.flow[c]).mean() > 1.0
+    # Nothing has moved since now
+    still = draw(engine, cameras, (swarm, np.ones((1, 2), dtype=bool)))
+    np.testing.assert_allclose(still.flow, 0.0, atol=1e-6)
+    engine.close()
+
+
+def test_points_that_were_behind_the_camera_have_no_flow():
+    engine, cameras = scene_of_walls()
+    turned = cameras.quaternion[:, [1, 0, 3, 2]] * [1, -1, 1, -1]  # by half a turn about z
+    poses = [(np.zeros((1, count, 3)), np.zeros((1, count, 4))) for count in (1, 0)]
+    images = blank(1)
+    engine.pictures(cameras, images, None, Earlier(cameras.eye, turned, *poses))
+    assert (images.flow == 0.0).all()
     engine.close()

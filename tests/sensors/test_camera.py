@@ -563,3 +563,56 @@ def test_normals_are_observed():
     options = {"camera": "bullet", "randomization": {"camera_colours": 0.5}}
     with pytest.raises(ValueError, match="camera 'bullet' has its own colours"):
         bulletuav.Aviary("hover", dynamics="point_mass", **options)
+
+
+def test_flow_is_that_since_the_last_decision():
+    """Of a drone that moves 1 m to the left, and of a ball that moves down, but only while it does.
+
+    The focal length is 24 pixels.
+    """
+    obstacles = (Obstacle("sphere", (1.0,)),)
+    engine = sensing.open_world((TOWER,), worlds=2, obstacles=obstacles)
+    every, level = np.ones(2, dtype=bool), np.tile(sensing.LEVEL, (2, 1, 1))
+
+    def place_ball(height):
+        engine.set_obstacles(np.full((2, 1, 3), (10.0, -4.0, height)), level, every)
+
+    views = {"radius": (0.0,), "camera_size": SIZE, "wanted": frozenset({"flow", "depth"})}
+    camera = sensing.sensor_of(Camera, engine.shape, engine, **views)
+    here, there = (sensing.swarm_of(2, 1, (0, y, 30)) for y in (0.0, 1.0))
+    place_ball(30.0)
+    flow = sensing.measure(camera, here, steps=0)["flow"][0, 0]
+    assert np.abs(flow).max() < 1e-6
+    flow = sensing.measure(camera, there, before=here, steps=1)["flow"][0, 0]
+    wall, ball = pixel(20, -1, 0), pixel(9, -5, 0)
+    assert flow[wall] == pytest.approx([24 / 20, 0.0], abs=1e-5)
+    assert flow[ball] == pytest.approx([24 / 9, 0.0], rel=0.02, abs=1e-5)
+    place_ball(29.5)
+    flow = sensing.measure(camera, there, steps=[2, 0])["flow"]
+    assert flow[0, 0][wall] == pytest.approx([0.0, 0.0], abs=1e-5)
+    assert flow[0, 0][ball] == pytest.approx([0.0, 24 * 0.5 / 9], rel=0.02, abs=1e-5)
+    # The second world started with the ball there
+    assert flow[1, 0][ball] == pytest.approx([0.0, 0.0], abs=1e-5)
+    flow = sensing.measure(camera, there, steps=[3, 1])["flow"]
+    assert np.abs(flow).max() < 1e-6
+    # A new body is still
+    engine.add_body([(0.0, 0, 0), (3, 0, 0), (0, 3, 0), (0, 0, 3)], (8.0, 0.0, 28.0))
+    flow = sensing.measure(camera, there, steps=[4, 2])["flow"]
+    assert np.abs(flow).max() < 1e-6
+    engine.close()
+
+
+def test_flow_is_kept_in_snapshots():
+    options = {"observation": ("flow",), "camera_size": (16, 12), "dynamics": "point_mass"}
+    with contextlib.closing(bulletuav.Aviary("obstacles", 2, num_moving=3, **options)) as aviary:
+        first = aviary.reset(seeds=0)["flow"]
+        assert (first == 0.0).all() or np.abs(first).max() < 1e-6
+        action = np.full((2, aviary.swarm.position.shape[1], 3), 0.5)
+        aviary.step(action)
+        kept = aviary.save_state()
+        flown = aviary.step(action).observations["flow"].copy()
+        aviary.step(action)
+        aviary.load_state(kept)
+        np.testing.assert_array_equal(aviary.step(action).observations["flow"], flown)
+        assert np.abs(flown).max() > 0.1
+        assert aviary.observer.space()["flow"].contains(flown[0, 0])
