@@ -133,12 +133,13 @@ class Camera(Sensor):
             self._images["depth"][:] = FAR
             self._scale_depth(np.ones(setup.shape, dtype=np.bool_))
         self._past: dict[str, np.ndarray] = {}  # (W, decisions, N, ...), a ring buffer
-        shown = self._images
+        self._shown = self._images
         late = round(setup.longest_picture_delay / setup.period)
         if late:
-            self._past = {name: np.stack([one] * (late + 1), 1) for name, one in shown.items()}
-            shown = {name: one.copy() for name, one in shown.items()}
-        self.pictures = {name: shown[ALIASES.get(name, name)] for name in names}
+            images = self._images.items()
+            self._past = {name: np.stack([one] * (late + 1), 1) for name, one in images}
+            self._shown = {name: one.copy() for name, one in images}
+        self.pictures = {name: self._shown[ALIASES.get(name, name)] for name in names}
         self.needs_bodies = setup.camera == "bullet"
         if self.needs_bodies:
             require_bullet("camera 'bullet'")
@@ -170,7 +171,7 @@ class Camera(Sensor):
         if not self._past:
             return kept
         past = {f"past {name}": one for name, one in self._past.items()}
-        shown = {f"shown {name}": one for name, one in self.pictures.items() if name not in ALIASES}
+        shown = {f"shown {name}": one for name, one in self._shown.items()}
         return {**kept, **past, **shown}
 
     def measure(self, moment: Moment) -> Mapping[str, np.ndarray]:
@@ -235,11 +236,10 @@ class Camera(Sensor):
         now = moment.steps[w]
         late = np.rint(self.delay[w, i] / self.setup.period).astype(np.int64)
         then = now - np.minimum(late, now)
-        for name, shown in self.pictures.items():
-            past, image = self._past[ALIASES.get(name, name)], self._images[ALIASES.get(name, name)]
+        for name, past in self._past.items():
             length = past.shape[1]
-            past[w, now % length, i] = image[w, i]
-            shown[w, i] = past[w, then % length, i]
+            past[w, now % length, i] = self._images[name][w, i]
+            self._shown[name][w, i] = past[w, then % length, i]
 
     def _scale_depth(self, due: np.ndarray) -> None:
         """Convert the new depths to the form of the option `camera_depth`."""
@@ -331,7 +331,7 @@ def _match_depths(
                     z = true[i, c, v, u]
                     if step[i] > 0.0 and z < FAR:
                         # Rounded to zero, the disparity is that of infinity
-                        steps = math.floor(1.0 / (step[i] * found[i, c, v, u]) + 0.5)
+                        steps = np.floor(1.0 / (step[i] * found[i, c, v, u]) + 0.5)
                         found[i, c, v, u] = min(1.0 / (step[i] * steps), FAR)
                     if chance[i, c, v, u] >= dropout[i]:
                         continue

@@ -488,6 +488,11 @@ def test_steps_of_depths_are_those_of_disparities():
     # Less than half a step of 1/depth is none: 1 / (0.00285 / 2) = 702 m
     assert FAR in depth
     assert depth[depth < FAR].max() <= 1 / 0.00285 * 1.0001
+    # Noise may bring a depth down to zero
+    camera.depth_noise[:] = 1.0
+    rngs = [np.random.default_rng(0)]
+    depth = sensing.measure(camera, swarm, steps=0, rngs=rngs)["depth"]
+    assert (depth.min(), depth.max()) == (0.0, FAR)
     engine.close()
 
 
