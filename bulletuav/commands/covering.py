@@ -142,6 +142,16 @@ def list_environments() -> Iterator[tuple[str, dict[str, Any]]]:
             )
     for images in IMAGES:
         yield "navigation", {"observation": images, "camera_size": (16, 12)}
+    yield (
+        "navigation",
+        {
+            "observation": ("depth", "normals", "flow"),
+            "camera_size": (16, 12),
+            "camera_range": (0.5, 100.0),
+            "camera_depth": "inverse",
+            "randomization": {"camera_depth_step": 0.003, "camera_edge_dropout": 0.1},
+        },
+    )
     for boundary, at_goal in itertools.product(BOUNDARIES, GOALS):
         yield "converge", {"boundary": boundary, "at_goal": at_goal}
     for ends in ("drone", "world"):

@@ -1,14 +1,20 @@
 """Camera pictures of many drones by the rasteriser, without Bullet."""
 
+import math
 import threading
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
+from bulletuav.compiled.functions import cos, sin
 from bulletuav.geometry.raster import (
+    CHECKER_CONTRAST,
     Cameras,
     Canvas,
+    Earlier,
     Images,
+    Paint,
     PixelRays,
     draw_pictures,
     make_canvas,
@@ -18,7 +24,7 @@ from bulletuav.geometry.raycast import Poses
 from bulletuav.geometry.scenery import Scenery
 from bulletuav.geometry.solids import Solids
 from bulletuav.geometry.view import BUILDING, DRONE, LAND, OBSTACLE, SKY, SKY_COLOUR
-from bulletuav.geometry.view_blocks import face_normals, make_faces, make_view_blocks
+from bulletuav.geometry.view_blocks import GROUND_FACE, make_faces, make_view_blocks
 
 COLOURS = {
     SKY: SKY_COLOUR,
@@ -36,6 +42,23 @@ SUN = (0.33, -0.57, 0.75)
 """Direction to the sun"""
 AMBIENT = 0.7
 """Brightness of faces that are parallel to the direction of the sun"""
+WINDOWS = (3.0, 3.0, 0.5, 0.0)
+"""Windows of buildings, of which the last number is 0: none; see `Paint.windows`"""
+TINT = 60.0
+"""Maximum difference of the drawn colours of a building or obstacle, from 0 to 255"""
+
+
+class Look(NamedTuple):
+    """Colours of pictures of a world.
+
+    Attributes:
+        strength: From 0, the default colours, to 1, random ones.
+        seed: Seed of these: colours of sky, ground and each building, direction of the sun, and
+            windows.
+    """
+
+    strength: float = 0.0
+    seed: int = 0
 
 
 class PictureMaker:
@@ -51,6 +74,8 @@ class PictureMaker:
         grid = scenery.city_grid
         counts = [len(solids.bounds) for solids in layouts]
         self._blocks = make_view_blocks(grid.low, grid.high, counts)
+        self._num_worlds = scenery.place.shape[0]
+        self._looks: dict[int, Look] = {}
         self._set_faces(scenery)
         # Each thread draws in memory of its own
         self._local = threading.local()
@@ -59,16 +84,59 @@ class PictureMaker:
         """Assign ids to the faces of the shapes, and choose their colours."""
         self._table = scenery.table
         self._faces = make_faces(scenery)
-        normal = face_normals(scenery.table)
+        self._paint_worlds()
+
+    def set_look(self, world: int, look: Look) -> None:
+        """Set the colours of pictures of a world; see `Engine.set_look`."""
+        # One palette serves all worlds until one differs
+        if look == Look() and not self._looks:
+            return
+        is_new = not self._looks
+        self._looks[world] = look
+        if is_new:
+            self._paint_worlds()
+        else:
+            self._paint_world(world)
+
+    def _paint_worlds(self) -> None:
+        """Choose the colours of all faces in all worlds."""
+        count = self._num_worlds if self._looks else 1
+        self._paint = Paint(
+            np.empty((count, len(self._faces.labels), 3), dtype=np.uint8), np.empty((count, 4))
+        )
+        for world in range(count):
+            self._paint_world(world)
+
+    def _paint_world(self, world: int) -> None:
+        """Choose the colours of all faces in a world."""
+        look = self._looks.get(world, Look())
+        labels, shape = self._faces.labels, self._faces.shape[2:]
+        base = np.array([COLOURS[label] for label in range(len(COLOURS))])
+        shade = (HUE_STEP * (shape % HUE_STEPS - HUE_STEPS // 2))[:, None]
+        sun, windows = np.array(SUN), np.array(WINDOWS)
+        if look.strength:
+            # Everything is drawn from the seed, in this order
+            rng = np.random.default_rng(look.seed)
+            base += look.strength * (rng.uniform(0, 255, base.shape) - base)
+            azimuth, height = rng.uniform((0.0, 0.25), (2 * np.pi, 1.0))
+            level = math.sqrt(1 - height * height)
+            drawn = (level * cos(float(azimuth)), level * sin(float(azimuth)), float(height))
+            sun += look.strength * (drawn - sun)
+            sun /= math.sqrt(sun @ sun)
+            windows = rng.uniform((2.0, 2.5, 0.3, -80.0), (6.0, 4.5, 0.8, 80.0))
+            windows[3] *= look.strength
+            tint = rng.uniform(-TINT, TINT, (len(self._table.kind), 3))
+            shade = shade + look.strength * tint[shape]
         # Half-Lambert shading, so that faces in the shade differ, too
-        light = AMBIENT + (1 - AMBIENT) * (normal * SUN).sum(axis=1)
+        light = AMBIENT + (1 - AMBIENT) * (self._faces.normal * sun).sum(axis=1)
         light[0] = 1.0
-        colour = np.array([COLOURS[label] for label in range(len(COLOURS))])[self._faces.labels]
-        shape = np.repeat(np.arange(len(scenery.table.kind)), np.diff(self._faces.first))
-        shade = HUE_STEP * (shape % HUE_STEPS - HUE_STEPS // 2)
-        is_varied = np.isin(self._faces.labels[2:], (BUILDING, OBSTACLE))
-        colour[2:] += np.where(is_varied, shade, 0.0)[:, None]
-        self._colour = np.clip(colour * light[:, None], 0, 255).astype(np.uint8)
+        colour = base[labels]
+        is_varied = np.isin(labels[2:], (BUILDING, OBSTACLE))
+        colour[2:] += np.where(is_varied[:, None], shade, 0.0)
+        colour = np.clip(colour * light[:, None], 0, 255)
+        colour[GROUND_FACE] = np.maximum(colour[GROUND_FACE], CHECKER_CONTRAST)
+        self._paint.colour[world] = colour.astype(np.uint8)
+        self._paint.windows[world] = windows
 
     def draw(
         self,
@@ -77,8 +145,12 @@ class PictureMaker:
         images: Images,
         swarm: Poses,
         mask: np.ndarray,
+        earlier: Earlier | None,
     ) -> None:
         """Draw pictures; see `Engine.pictures`."""
+        if earlier is None:
+            now = (swarm.position, swarm.quaternion), (scenery.place, scenery.quaternion)
+            earlier = Earlier(cameras.eye, cameras.quaternion, *now)
         if scenery.table is not self._table:
             self._set_faces(scenery)
         rays, canvas = self._memory(images)
@@ -88,17 +160,18 @@ class PictureMaker:
             scenery,
             self._blocks,
             self._faces,
-            self._colour,
+            self._paint,
             swarm,
             mask,
             canvas,
             images,
+            earlier,
         )
 
     def _memory(self, images: Images) -> tuple[PixelRays, Canvas]:
         """Return memory of the present thread for pictures of a size."""
         height, width = images.depth.shape[1:]
-        has_faces = bool(len(images.labels) or len(images.colours))
+        has_faces = any(len(one) for one in images if one is not images.depth)
         key = (width, height, has_faces)
         if getattr(self._local, "key", None) != key or self._local.table is not self._table:
             rays = make_pixel_rays(width, height)

@@ -18,11 +18,11 @@ from bulletuav.engine.calls import (
     bullet,
 )
 from bulletuav.engine.in_bullet import InBullet
-from bulletuav.engine.pictures import PictureMaker
+from bulletuav.engine.pictures import Look, PictureMaker
 from bulletuav.engine.tiles import cover, vertical_rays, within_tile, write_surface
 from bulletuav.geometry.city_grid import make_city_grid
 from bulletuav.geometry.obstacle import Obstacle
-from bulletuav.geometry.raster import Cameras, Images
+from bulletuav.geometry.raster import Cameras, Earlier, Images
 from bulletuav.geometry.raycast import cast_drone_rays, cast_scenery_rays
 from bulletuav.geometry.rotation import cross, to_world
 from bulletuav.geometry.scenery import Scenery, make_scenery
@@ -162,6 +162,7 @@ class EngineQueries(ABC):
         cameras: Cameras,
         images: Images,
         drones: tuple[Swarm, np.ndarray] | None = None,
+        earlier: Earlier | None = None,
     ) -> None:
         """Draw the pictures of cameras in any worlds, without Bullet.
 
@@ -173,10 +174,20 @@ class EngineQueries(ABC):
                 height and width.
             drones: A swarm, and a mask (W, N) of its drones that are shown, by their collision
                 shapes.
+            earlier: Poses from which flow is measured; None for the present ones.
         """
         if drones is None:
             drones = Swarm.zeros(*self.shape, 1), np.zeros(self.shape, dtype=bool)
-        self._picture_maker.draw(self._scenery, cameras, images, *drones)
+        self._picture_maker.draw(self._scenery, cameras, images, *drones, earlier)
+
+    def set_look(self, world: int, look: Look) -> None:
+        """Set the colours of `pictures` of a world: the default ones, or random ones.
+
+        Args:
+            world: Index of the world.
+            look: Strength and seed of the colours.
+        """
+        self._picture_maker.set_look(world, look)
 
     def surface_below(self, position: np.ndarray, mask: np.ndarray) -> np.ndarray:
         """Find the height of the surface below drones: ground, roof or body.

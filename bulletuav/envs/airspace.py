@@ -112,8 +112,9 @@ class Airspace(Environment):
             sensors: Names of sensors, or sensor objects, that all drones carry.
             **options: dynamics, seed, effects, wind, wind_profile, turbulence, gravity, max_speed,
                 controller, contacts, friction, restitution, randomization, rays, camera,
-                camera_size, camera_hz, num_beams, max_range, lidar_elevations, lidar_frame,
-                render_mode, render_size, debug; see `EnvOptions`.
+                camera_size, camera_hz, camera_range, camera_depth, camera_mounts, num_beams,
+                max_range, lidar_elevations, lidar_frame, render_mode, render_size, debug; see
+                `EnvOptions`.
 
         Raises:
             ValueError: If an option is invalid, or drones overlap each other or the scene.

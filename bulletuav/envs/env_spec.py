@@ -23,7 +23,7 @@ from bulletuav.errors import (
     unknown,
 )
 from bulletuav.sensors.base import SensorSetup
-from bulletuav.sensors.camera import IMAGES
+from bulletuav.sensors.camera import COMPILED_ONLY, DEPTH_IMAGES, IMAGES
 from bulletuav.sensors.lidar import make_beams
 from bulletuav.sensors.suite import provider
 from bulletuav.tasks import TaskSource, find_task
@@ -50,6 +50,12 @@ BODY_BYTES, OBSTACLE_BYTES, LAYOUT_BYTES = 100_000, 5_000, 100_000
 Most of the memory is in the engine; measured.
 """
 NUMBER_BYTES = 8
+CAMERA_OPTIONS = {
+    "camera_range": DEPTH_IMAGES,
+    "camera_depth": DEPTH_IMAGES,
+    "camera_mounts": tuple(IMAGES),
+}
+"""Images that options of cameras change"""
 ENERGY_READINGS = frozenset({"charge", "power", "voltage"})
 """Readings of the battery, which no sensor provides"""
 
@@ -86,7 +92,10 @@ class EnvSpec:
         # Observations determine which sensors are needed
         sources = kind.observation if self.options.observation is None else self.options.observation
         self._check_observation(sources)
-        self.setup = self._make_setup(self._wanted(sources))
+        self._names = {observation_name(source) for source in sources}
+        wanted = self._wanted(sources)
+        self._check_cameras(wanted)
+        self.setup = self._make_setup(wanted)
         readings = frozenset(name for one in self.sensors.values() for name in one.gives)
         if not self.task.num_targets:  # there is nothing to see
             readings -= {"sight"}
@@ -99,7 +108,6 @@ class EnvSpec:
         )
         drones = ObservationBuilder(STATE, *parts)
         self.state = GlobalState(self.task, drones, self.options)
-        self._names = {observation_name(source) for source in sources}
         self._require_memory(self._world_bytes())
         # If it is no class attribute, `Worlds` checks it with the instance
         consumes: object = find_dynamics(self.options.dynamics).consumes
@@ -141,6 +149,20 @@ class EnvSpec:
         own = {reading for name in given for reading in self.sensors[name].gives}
         return frozenset({*asked, *kind.required_sensors, *own})
 
+    def _check_cameras(self, wanted: frozenset[str]) -> None:
+        """Raise ValueError for pictures that cannot be taken, and options of those not taken."""
+        # All readings of an additional camera are wanted; they are not observed
+        for name in COMPILED_ONLY:
+            if self.options.camera == "bullet" and name in self._names:
+                raise ValueError(f"camera 'bullet' draws no {name!r}: use camera 'compiled'")
+        for name, images in CAMERA_OPTIONS.items():
+            given = getattr(self.options, name) != getattr(EnvOptions, name)
+            if given and not wanted.intersection(images):
+                raise ValueError(
+                    f"{name} has no effect without {' or '.join(map(repr, images))}: leave it out, "
+                    f"or add one to observation"
+                )
+
     def _make_setup(self, wanted: frozenset[str]) -> SensorSetup:
         return dataclasses.replace(
             sensor_setup(self.options, self.num_worlds, wanted),
@@ -166,7 +188,11 @@ class EnvSpec:
         """
         drones, task = self.options.num_drones, self.task
         images = self._names.intersection(IMAGES)
-        pictures = math.prod(self.options.camera_size) if images else 0
+        mounts = self.setup.camera_mounts
+        cameras = len(mounts) if isinstance(mounts, tuple) else 1
+        late = round(self.setup.longest_picture_delay / self.setup.period)
+        stored = cameras * (1 + late) if images else 0
+        pictures = stored * math.prod(self.options.camera_size)
         others = drones if {"neighbours", "all_neighbours"} & self._names else 0
         observed = 2 * self.observer.low.size + 2 * pictures + 3 * others + 2 * task.num_targets
         things = OBSTACLE_BYTES * len(task.obstacles()) + LAYOUT_BYTES * len(task.layouts())

@@ -15,8 +15,10 @@ from bulletuav.envs.rates import MAX_HZ, decision_rate, picture_rate
 from bulletuav.envs.viewer import DEFAULT_ADDRESS, VIEWERS, parse_address
 from bulletuav.errors import as_int, as_sequence, find_choice, finite, shown, unknown
 from bulletuav.geometry.obstacle import MAX_FRICTION
-from bulletuav.sensors.camera import RENDERERS
+from bulletuav.geometry.view import FAR
+from bulletuav.sensors.camera import DEPTHS, RENDERERS
 from bulletuav.sensors.lidar import FRAMES
+from bulletuav.sensors.mounts import as_mounts
 from bulletuav.vehicle.airframe import STANDARD_GRAVITY, Airframe
 from bulletuav.vehicle.parameters import DEFAULT_EFFECTS, EFFECTS
 from bulletuav.vehicle.wind import (
@@ -32,7 +34,7 @@ ENERGIES = ("zeng", "actuator")
 FORMATS = ("vector", "dict")
 LIST_OPTIONS = (
     *("observation", "sensors", "effects", "wind"),
-    *("render_size", "camera_size", "lidar_elevations"),
+    *("render_size", "camera_size", "camera_range", "lidar_elevations"),
 )
 RENDER_MODES = ("rgb_array", "human", *VIEWERS)
 ROTOR_ACTIONS = ("rotor", "rpm")
@@ -113,6 +115,14 @@ class EnvOptions:
             TinyRenderer, a hundredth of the speed, with the visual shapes of drones and facades).
         camera_size: Width and height of the drones' cameras, pixels.
         camera_hz: Camera pictures per second; must divide decision_hz; None for one per decision.
+        camera_range: Nearest and farthest depth of pictures, m; other depths are clipped, that of
+            the sky too.
+        camera_depth: Form of depths: "metres", "linear" (0 at the nearest and 1 at the farthest
+            depth), or "inverse" (linear in 1/depth: 1 at the nearest and 0 at the farthest depth).
+        camera_mounts: Direction of the camera on the drone, a dict of attributes of
+            `bulletuav.sensors.mounts.Mount`, such as {"pitch": -90}; or several dicts for several
+            cameras, whose pictures are stacked: (cameras, height, width). None for a camera that
+            looks forward.
         gravity: Gravitational acceleration, m/s^2; 0 for none.
         num_beams: Beams of the range finder (observation "lidar") at each elevation, evenly spaced
             in azimuth.
@@ -166,6 +176,9 @@ class EnvOptions:
     camera: str = "compiled"
     camera_size: tuple[int, int] = (64, 48)
     camera_hz: int | None = None
+    camera_range: tuple[float, float] = (0.0, FAR)
+    camera_depth: str = "metres"
+    camera_mounts: Mapping[str, Any] | Sequence[Mapping[str, Any]] | None = None
     gravity: float = STANDARD_GRAVITY
     num_beams: int = 16
     max_range: float = 60.0
@@ -204,7 +217,7 @@ class EnvOptions:
         find_choice("contacts", self.contacts, dict.fromkeys(dynamics.contacts))
         choices = {"action": tuple(ACTIONS), "controller": tuple(CONTROLLERS)}
         choices |= {"lidar_frame": FRAMES, "energy": ENERGIES, "observation_format": FORMATS}
-        choices |= {"rays": tuple(RAY_METHODS), "camera": RENDERERS}
+        choices |= {"rays": tuple(RAY_METHODS), "camera": RENDERERS, "camera_depth": DEPTHS}
         for name, known in choices.items():
             find_choice(name, getattr(self, name), dict.fromkeys(known))
         check_names("effects", "effect", self.effects, EFFECTS)
@@ -214,6 +227,7 @@ class EnvOptions:
                 raise ValueError(f"{name} is {shown(value)}: True or False is needed")
         self._check_reward()
         self._check_sensors()
+        self._check_cameras()
         self._check_flight()
 
     def _check_reward(self) -> None:
@@ -274,6 +288,27 @@ class EnvOptions:
                 raise ValueError(
                     f"battery_capacity is {capacity:g} W h: it must be above 0; None for no limit"
                 )
+
+    def _check_cameras(self) -> None:
+        # Files of runs store the plain values
+        as_mounts(self.camera_mounts)
+        if isinstance(self.camera_mounts, Sequence):
+            self._keep("camera_mounts", tuple(self.camera_mounts))
+        given = as_sequence("camera_range", self.camera_range, 2)
+        near, far = (finite("camera_range", depth, 0.0, FAR) for depth in given)
+        self._keep("camera_range", (near, far))
+        if not near < far:
+            raise ValueError(
+                f"camera_range is ({near:g}, {far:g}) m: the nearest depth must be below the "
+                f"farthest one"
+            )
+        if self.camera == "bullet" and "camera_colours" in self.randomization.active:
+            raise ValueError("camera 'bullet' has its own colours: leave out camera_colours")
+        if self.camera_depth == "inverse" and near == 0:
+            raise ValueError(
+                "camera_depth 'inverse' needs a nearest depth above 0: set camera_range, such as "
+                "(0.5, 100)"
+            )
 
     def _check_flight(self) -> None:
         if len(self.airframe) != self.num_drones:

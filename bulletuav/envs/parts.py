@@ -21,6 +21,7 @@ from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.geometry.solids import Solids
 from bulletuav.sensors.base import Sensor, SensorSetup
 from bulletuav.sensors.lidar import make_beams
+from bulletuav.sensors.mounts import as_mounts
 from bulletuav.sensors.suite import SensorSuite
 from bulletuav.vehicle.parameters import parameter_rows
 from bulletuav.vehicle.swarm import Swarm
@@ -182,8 +183,12 @@ def sensor_setup(options: EnvOptions, num_worlds: int, wanted: frozenset[str]) -
         num_worlds: Number of worlds W.
         wanted: Readings that are needed.
     """
-    randomization = options.randomization
-    delays = "radio_delay" in randomization.known
+
+    def longest(name: str) -> float:
+        """Return the maximum of a delay, s."""
+        known = name in options.randomization.known
+        return options.randomization.bounds(name)[1] if known else 0.0
+
     return SensorSetup(
         shape=(num_worlds, options.num_drones),
         period=1 / options.decision_hz,
@@ -195,8 +200,12 @@ def sensor_setup(options: EnvOptions, num_worlds: int, wanted: frozenset[str]) -
         camera=options.camera,
         camera_size=options.camera_size,
         camera_every=int(options.decision_hz / (options.camera_hz or options.decision_hz)),
+        camera_range=options.camera_range,
+        camera_depth=options.camera_depth,
+        camera_mounts=as_mounts(options.camera_mounts),
         wanted=wanted,
-        longest_delay=randomization.bounds("radio_delay")[1] if delays else 0.0,
+        longest_delay=longest("radio_delay"),
+        longest_picture_delay=longest("camera_delay"),
     )
 
 

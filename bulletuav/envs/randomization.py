@@ -68,12 +68,17 @@ class Randomization:
     - lidar_dropout: probability that a beam has no return.
     - camera_depth_noise: standard deviation of a depth in pictures, divided by its square, 1/m;
       such as 0.0014, of a Kinect.
+    - camera_depth_step: steps of 1/depth, 1/m, such as 0.00285, of a Kinect.
+    - camera_edge_dropout: probability that a pixel at an edge has no depth.
     - camera_fov: vertical field of view of the drones' cameras, degrees; 90 by default.
+    - camera_delay: delay of pictures, s; rounded to decisions.
     - accelerometer_noise, gyroscope_noise: standard deviation of each axis, m/s^2, rad/s.
     - accelerometer_walk, gyroscope_walk: random walk of their biases after one second.
 
     For each world:
 
+    - camera_colours: strength of random colours, sunlight and windows in `rgb`: 0 for the default
+      colours, 1 for any.
     - wind: each axis of a steady wind, m/s, in addition to the options `wind` and `turbulence`.
     - radio_delay: delay of messages between drones, s.
     - radio_loss: probability that a message is lost.

@@ -35,13 +35,15 @@ from bulletuav.geometry.rotation import (
     axes,
     dot,
     minus,
+    plus,
     point,
     quat4,
     to_body,
+    to_world,
     vec3,
 )
 from bulletuav.geometry.scenery import Scenery
-from bulletuav.geometry.shapes import BOX, HULL, intersect_box
+from bulletuav.geometry.shapes import BOX, HULL, SPHERE, intersect_box
 from bulletuav.geometry.view import BUILDING, DRONE, FAR, LAND, OBSTACLE, SKY
 from bulletuav.geometry.view_blocks import GROUND_FACE, SKY_FACE, Faces, ViewBlocks
 
@@ -53,6 +55,8 @@ EDGE_SLACK = 1e-9
 """Distance from an edge within which pixels belong to a solid, pixels"""
 NEAREST = 1e-3
 """Depth of a corner below which a solid may cover the whole picture, m"""
+MAX_FLOW = 1000.0
+"""Maximum of the flow along each axis, pixels"""
 CHECKER_SIDE = 5.0
 """Side of the squares of the ground in colour pictures, m"""
 CHECKER_CONTRAST = 24.0
@@ -140,6 +144,37 @@ class Cameras(NamedTuple):
     slot: np.ndarray
 
 
+class Paint(NamedTuple):
+    """Colours of pictures in W worlds, or in all of them alike (W = 1).
+
+    Attributes:
+        colour: (W, F, 3) uint8, red, green and blue of each face; those of the ground are at least
+            CHECKER_CONTRAST.
+        windows: (W, 4) windows of buildings: distance from one to the next along a wall and up, m,
+            fraction of these distances that they take, and their brightness relative to the wall,
+            from -255 to 255; 0 for none.
+    """
+
+    colour: np.ndarray
+    windows: np.ndarray
+
+
+class Earlier(NamedTuple):
+    """Poses of cameras, drones and bodies at an earlier time, from which flow is measured.
+
+    Attributes:
+        eye: (C, 3) positions of the cameras, m.
+        quaternion: (C, 4) their attitudes.
+        drones: Positions (W, N, 3), m, and attitudes (W, N, 4) of the drones.
+        bodies: Positions (W, R, 3), m, and attitudes (W, R, 4) of the bodies.
+    """
+
+    eye: np.ndarray
+    quaternion: np.ndarray
+    drones: tuple[np.ndarray, np.ndarray]
+    bodies: tuple[np.ndarray, np.ndarray]
+
+
 class Images(NamedTuple):
     """Pictures to be drawn; those with no rows are not.
 
@@ -147,11 +182,19 @@ class Images(NamedTuple):
         depth: (P, height, width) float32, distance along the view axis, m; FAR for the sky.
         labels: (P, height, width) uint8: SKY, LAND, BUILDING, OBSTACLE or DRONE.
         colours: (P, height, width, 3) uint8, red, green, blue.
+        normals: (P, height, width, 3) float32, outward unit normals of the surfaces in the axes of
+            the camera (x along the view axis, y left, z up); zero for the sky. From within a box or
+            hull, they are those of one of its faces.
+        flow: (P, height, width, 2) float32, motion of the shown points of surfaces since an earlier
+            time, to the right and down, pixels, up to MAX_FLOW; zero for points that were behind
+            the camera. The sky is infinitely far away.
     """
 
     depth: np.ndarray
     labels: np.ndarray
     colours: np.ndarray
+    normals: np.ndarray = np.zeros((0, 1, 1, 3), dtype=np.float32)
+    flow: np.ndarray = np.zeros((0, 1, 1, 2), dtype=np.float32)
 
 
 def make_pixel_rays(width: int, height: int, tangent: float = 1.0) -> PixelRays:
@@ -182,7 +225,7 @@ def make_canvas(
         table: Shapes of the worlds.
         faces: Their faces.
         blocks: Blocks of the city layouts.
-        has_faces: Whether ids of faces are needed, for labels or colours.
+        has_faces: Whether ids of faces are needed, for all images but depths.
 
     Returns:
         The memory.
@@ -915,6 +958,200 @@ def _write_colours(
                 colours[c, v, u, k] = colour[face, k] - darker
 
 
+@func
+def _fraction(x: float) -> float:
+    """Return the fractional part of x, from 0 to 1."""
+    return x - math.floor(x)
+
+
+@kernel
+def _write_windows(
+    canvas: Canvas,
+    rays: PixelRays,
+    view: View,
+    faces: Faces,
+    first_building: int,
+    windows: np.ndarray,
+    colours: np.ndarray,
+    c: int,
+) -> None:
+    """Write the windows of buildings over the colours of a picture.
+
+    Args:
+        canvas: The picture.
+        rays: Rays of the picture.
+        view: Eye and axes of the camera.
+        faces: Faces of the shapes.
+        first_building: First id of the faces of the city's pieces.
+        windows: (4,) see `Paint.windows`.
+        colours: (P, height, width, 3); written.
+        c: Index of the picture.
+    """
+    eye = view[0]
+    for v in range(colours.shape[1]):
+        for u in range(colours.shape[2]):
+            face = canvas.face[v, u]
+            n = point(faces.normal, face)
+            # Roofs have no windows
+            if face < first_building or abs(n[2]) > 0.5:
+                continue
+            place = plus(eye, 1.0 / canvas.inverse[v, u], _ray(rays, view, v, u))
+            # Coordinates on the wall: along a horizontal tangent, and up
+            along = _fraction((n[0] * place[1] - n[1] * place[0]) / windows[0])
+            rise = _fraction(place[2] / windows[1])
+            if along < windows[2] and rise < windows[2]:
+                for k in range(3):
+                    lit = float(colours[c, v, u, k]) + windows[3]
+                    colours[c, v, u, k] = int(min(max(lit, 0.0), 255.0))
+
+
+@func
+def _round_normal(kind: int, half: Vec3, place: Vec3) -> Vec3:
+    """Return the outward normal of a sphere or cylinder at a point of its surface, in its axes."""
+    radius = math.sqrt(place[0] * place[0] + place[1] * place[1])
+    height = 0.0
+    if kind == SPHERE:
+        height = place[2]
+        radius = math.sqrt(dot(place, place))
+    elif abs(place[2]) - half[2] > radius - half[0]:
+        return 0.0, 0.0, 1.0 if place[2] > 0.0 else -1.0
+    scale = 1.0 / radius if radius > 0.0 else 0.0
+    return place[0] * scale, place[1] * scale, height * scale
+
+
+@kernel
+def _write_normals(
+    canvas: Canvas,
+    rays: PixelRays,
+    view: View,
+    table: ShapeTable,
+    faces: Faces,
+    first_body: int,
+    first_piece: int,
+    drones: tuple[np.ndarray, np.ndarray],
+    bodies: tuple[np.ndarray, np.ndarray],
+    w: int,
+    normals: np.ndarray,
+    c: int,
+) -> None:
+    """Write the normals of a picture.
+
+    Args:
+        canvas: The picture.
+        rays: Rays of the picture.
+        view: Eye and axes of the camera.
+        table: The shapes.
+        faces: Their faces.
+        first_body: First shape of the bodies, which follow those of drones.
+        first_piece: First shape of the city's pieces.
+        drones: Positions (W, N, 3), m, and attitudes (W, N, 4) of the drones.
+        bodies: Positions and attitudes of the bodies.
+        w: The world.
+        normals: (P, height, width, 3); written.
+        c: Index of the picture.
+    """
+    eye, forward, left, up = view
+    for v in range(normals.shape[1]):
+        # Neighbours in a row often show the same flat face
+        last = -1
+        x = 0.0
+        y = 0.0
+        z = 0.0
+        for u in range(normals.shape[2]):
+            face = canvas.face[v, u]
+            if face != last:
+                last = face
+                n = point(faces.normal, face)
+                s = faces.shape[face]
+                if 0 <= s < first_piece:
+                    place, quaternion = drones if s < first_body else bodies
+                    r = s if s < first_body else s - first_body
+                    attitude = quat4(quaternion, w, r)
+                    if table.kind[s] != BOX and table.kind[s] != HULL:
+                        last = -1
+                        ray = _ray(rays, view, v, u)
+                        here = minus(plus(eye, 1.0 / canvas.inverse[v, u], ray), vec3(place, w, r))
+                        local = to_body(attitude, here)
+                        n = _round_normal(table.kind[s], point(table.half, s), local)
+                    n = to_world(attitude, n)
+                x = dot(forward, n)
+                y = dot(left, n)
+                z = dot(up, n)
+            normals[c, v, u, 0] = x
+            normals[c, v, u, 1] = y
+            normals[c, v, u, 2] = z
+
+
+@kernel
+def _write_flow(
+    canvas: Canvas,
+    rays: PixelRays,
+    view: View,
+    view0: View,
+    faces: Faces,
+    first_body: int,
+    first_piece: int,
+    now: tuple[tuple[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]],
+    earlier: tuple[tuple[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]],
+    w: int,
+    flow: np.ndarray,
+    c: int,
+) -> None:
+    """Write the flow of a picture.
+
+    Args:
+        canvas: The picture.
+        rays: Rays of the picture.
+        view: Eye and axes of the camera.
+        view0: The same at the earlier time.
+        faces: Faces of the shapes.
+        first_body: First shape of the bodies, which follow those of drones.
+        first_piece: First shape of the city's pieces.
+        now: Poses of drones and of bodies, see `Earlier`.
+        earlier: The same at the earlier time.
+        w: The world.
+        flow: (P, height, width, 2); written.
+        c: Index of the picture.
+    """
+    eye0, forward0, left0, up0 = view0
+    height, width = flow.shape[1:3]
+    half_x = rays.x[0]
+    half_y = -rays.y[height - 1]
+    for v in range(height):
+        for u in range(width):
+            face = canvas.face[v, u]
+            here = _ray(rays, view, v, u)
+            if face != SKY_FACE:
+                place = plus(view[0], 1.0 / canvas.inverse[v, u], here)
+                s = faces.shape[face]
+                if 0 <= s < first_piece:
+                    k = 0 if s < first_body else 1
+                    r = s - k * first_body
+                    local = to_body(quat4(now[k][1], w, r), minus(place, vec3(now[k][0], w, r)))
+                    turned = to_world(quat4(earlier[k][1], w, r), local)
+                    place = plus(vec3(earlier[k][0], w, r), 1.0, turned)
+                here = minus(place, eye0)
+            ahead = dot(forward0, here)
+            across = 0.0
+            down = 0.0
+            if ahead > 0.0:
+                # The inverse of `make_pixel_rays`
+                x = dot(left0, here) / ahead
+                y = dot(up0, here) / ahead
+                across = u - 0.5 * width * (1.0 - x / half_x)
+                down = v - (0.5 * height * (1.0 - y / half_y) - 1.0)
+            flow[c, v, u, 0] = min(max(across, -MAX_FLOW), MAX_FLOW)
+            flow[c, v, u, 1] = min(max(down, -MAX_FLOW), MAX_FLOW)
+
+
+@func
+def _camera_view(eye: np.ndarray, quaternion: np.ndarray, c: int) -> View:
+    """Return the eye and the axes of camera c."""
+    turn = (quaternion[c, 0], quaternion[c, 1], quaternion[c, 2], quaternion[c, 3])
+    forward, left, up = axes(turn)
+    return point(eye, c), forward, left, up
+
+
 @kernel
 def draw_pictures(
     cameras: Cameras,
@@ -922,11 +1159,12 @@ def draw_pictures(
     scenery: Scenery,
     blocks: ViewBlocks,
     faces: Faces,
-    colour: np.ndarray,
+    paint: Paint,
     swarm: Poses,
     mask: np.ndarray,
     canvas: Canvas,
     images: Images,
+    earlier: Earlier,
 ) -> None:
     """Draw the pictures of cameras.
 
@@ -936,12 +1174,12 @@ def draw_pictures(
         scenery: Shapes and poses in each world.
         blocks: Blocks of its city layouts.
         faces: Faces of its shapes.
-        colour: (F, 3) uint8, red, green and blue of each face; those of the ground are above
-            CHECKER_CONTRAST.
+        paint: Colours.
         swarm: State of the drones.
         mask: (W, N) bool, drones that are shown.
         canvas: Memory for drawing.
         images: Pictures; written.
+        earlier: Poses from which flow is measured; not read without flow.
     """
     # Read the fields of the scenery once: nested tuples are slow in loops
     layouts = scenery.city_grid.layout
@@ -951,15 +1189,7 @@ def draw_pictures(
     for c in range(cameras.world.shape[0]):
         w = cameras.world[c]
         _set_rays(rays, cameras.tangent[c])
-        forward, left, up = axes(
-            (
-                cameras.quaternion[c, 0],
-                cameras.quaternion[c, 1],
-                cameras.quaternion[c, 2],
-                cameras.quaternion[c, 3],
-            )
-        )
-        view = (point(cameras.eye, c), forward, left, up)
+        view = _camera_view(cameras.eye, cameras.quaternion, c)
         _draw_ground(canvas, rays, view)
         if layouts[w] != NO_LAYOUT:
             _draw_city(
@@ -992,4 +1222,46 @@ def draw_pictures(
             pieces = faces.first[scenery.first_piece]
             _write_labels(canvas, bodies, pieces, images.labels, cameras.slot[c])
         if images.colours.shape[0] > 0:
-            _write_colours(canvas, rays, view, colour, images.colours, cameras.slot[c])
+            k = w if paint.colour.shape[0] > 1 else 0
+            _write_colours(canvas, rays, view, paint.colour[k], images.colours, cameras.slot[c])
+            if paint.windows[k, 3] != 0.0:
+                _write_windows(
+                    canvas,
+                    rays,
+                    view,
+                    faces,
+                    faces.first[scenery.first_piece],
+                    paint.windows[k],
+                    images.colours,
+                    cameras.slot[c],
+                )
+        if images.normals.shape[0] > 0:
+            _write_normals(
+                canvas,
+                rays,
+                view,
+                table,
+                faces,
+                scenery.first_body,
+                scenery.first_piece,
+                (swarm.position, swarm.quaternion),
+                (scenery.place, scenery.quaternion),
+                w,
+                images.normals,
+                cameras.slot[c],
+            )
+        if images.flow.shape[0] > 0:
+            _write_flow(
+                canvas,
+                rays,
+                view,
+                _camera_view(earlier.eye, earlier.quaternion, c),
+                faces,
+                scenery.first_body,
+                scenery.first_piece,
+                ((swarm.position, swarm.quaternion), (scenery.place, scenery.quaternion)),
+                (earlier.drones, earlier.bodies),
+                w,
+                images.flow,
+                cameras.slot[c],
+            )

@@ -46,12 +46,16 @@ class Faces(NamedTuple):
         edge_range: (S, 2) first edge of each hull, and the one after its last; an empty range if
             the faces of a hull are no closed surface, because of rounding.
         labels: (F,) uint8, label of each face: SKY, LAND, BUILDING, OBSTACLE or DRONE.
+        shape: (F,) shape of each face; -1 for sky and ground.
+        normal: (F, 3) outward unit normals, see `face_normals`.
     """
 
     first: np.ndarray
     edges: np.ndarray
     edge_range: np.ndarray
     labels: np.ndarray
+    shape: np.ndarray
+    normal: np.ndarray
 
 
 def make_view_blocks(low: np.ndarray, high: np.ndarray, counts: Sequence[int]) -> ViewBlocks:
@@ -100,6 +104,8 @@ def make_faces(scenery: Scenery) -> Faces:
         edges=edges,
         edge_range=edge_range,
         labels=np.concatenate([np.array([SKY, LAND], dtype=np.uint8), np.repeat(label, count)]),
+        shape=np.concatenate([[-1, -1], np.repeat(np.arange(shapes), count)]),
+        normal=face_normals(table),
     )
 
 

@@ -50,6 +50,9 @@ INTERFACE = (
     "camera",
     "camera_size",
     "camera_hz",
+    "camera_range",
+    "camera_depth",
+    "camera_mounts",
 )
 """Options that determine observations and actions of a policy; fixed wherever it flies"""
 SCENE = ("num_drones", "airframe", "difficulty", "preset")

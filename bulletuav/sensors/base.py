@@ -11,6 +11,8 @@ import numpy as np
 
 from bulletuav.engine.engine import Engine
 from bulletuav.errors import shown
+from bulletuav.geometry.view import FAR
+from bulletuav.sensors.mounts import FORWARD, Mounts
 from bulletuav.vehicle.airframe import STANDARD_GRAVITY
 from bulletuav.vehicle.swarm import Swarm
 
@@ -49,12 +51,14 @@ class Image(NamedTuple):
         high: Upper bound of a pixel.
         dtype: NumPy type of a pixel.
         pixel: Shape of a pixel, () for one number.
+        stack: Shape of a stack of images, such as (cameras,); () for a single image.
     """
 
     low: float
     high: float
     dtype: Any
     pixel: tuple[int, ...]
+    stack: tuple[int, ...] = ()
 
 
 class Uncertain(NamedTuple):
@@ -88,10 +92,14 @@ class SensorSetup:
         camera: "compiled" for the cameras' rasteriser, or "bullet" for PyBullet's.
         camera_size: Width and height of images, pixels.
         camera_every: Number of decisions between images.
+        camera_range: Nearest and farthest depth, m.
+        camera_depth: "metres", "linear" or "inverse"; see `EnvOptions`.
+        camera_mounts: Mount of each drone's camera, or mounts of its cameras.
         num_targets: Number of targets of the task, U.
         arena: Lower and upper corner (3,) of the arena, m.
         wanted: Readings that are observed or required by the task.
         longest_delay: Maximum delay of messages between drones, s.
+        longest_picture_delay: Maximum delay of pictures, s.
     """
 
     shape: tuple[int, int] = (1, 1)
@@ -104,10 +112,14 @@ class SensorSetup:
     camera: str = "compiled"
     camera_size: tuple[int, int] = (64, 48)
     camera_every: int = 1
+    camera_range: tuple[float, float] = (0.0, FAR)
+    camera_depth: str = "metres"
+    camera_mounts: Mounts = FORWARD
     num_targets: int = 0
     arena: tuple[np.ndarray, np.ndarray] = (np.full(3, -1e3), np.full(3, 1e3))
     wanted: frozenset[str] = frozenset()
     longest_delay: float = 0.0
+    longest_picture_delay: float = 0.0
 
 
 class Moment(NamedTuple):

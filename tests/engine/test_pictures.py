@@ -6,12 +6,14 @@ import threading
 import numpy as np
 import pytest
 import sensing
+from scipy.spatial.transform import Rotation
 
 import bulletuav
 from bulletuav.city.generator import generate
 from bulletuav.engine.engine import Engine
+from bulletuav.engine.pictures import Look
 from bulletuav.geometry.obstacle import Obstacle
-from bulletuav.geometry.raster import Cameras, Images, make_pixel_rays
+from bulletuav.geometry.raster import MAX_FLOW, Cameras, Earlier, Images, make_pixel_rays
 from bulletuav.geometry.rotation import axes, from_euler, to_world
 from bulletuav.geometry.shapes import HULL
 from bulletuav.geometry.solids import Solids, box_corners
@@ -34,13 +36,15 @@ WALLS = np.array(
 )
 
 
-def blank(pictures, lens=LENS, depth=True, labels=True, colours=True):
+def blank(pictures, lens=LENS, depth=True, labels=True, colours=True, normals=True, flow=True):
     """Pictures to be drawn."""
     size = (len(lens.y), len(lens.x))
     return Images(
         np.zeros((pictures * depth, *size), dtype=np.float32),
         np.zeros((pictures * labels, *size), dtype=np.uint8),
         np.zeros((pictures * colours, *size, 3), dtype=np.uint8),
+        np.zeros((pictures * normals, *size, 3), dtype=np.float32),
+        np.zeros((pictures * flow, *size, 2), dtype=np.float32),
     )
 
 
@@ -420,4 +424,221 @@ def test_a_hull_without_a_closed_surface_is_drawn_by_rays():
     engine._picture_maker._set_faces(engine.scenery)
     assert (np.diff(engine._picture_maker._faces.edge_range) == 0).all()
     np.testing.assert_array_equal(draw(engine, cameras, drones).depth, expected.depth)
+    engine.close()
+
+
+def test_normals_are_the_gradients_of_inverse_depths():
+    """For a plane, 1/depth is n (1, x, y) up to a factor: in pixels away from edges."""
+    rng = np.random.default_rng(11)
+    engine = random_engine(rng)
+    drones = random_drones(engine, rng)
+    # Above all roofs, as normals within solids are those of any face
+    eye = rng.uniform((-40, -40, 70), (40, 40, 100), (40, 3))
+    angles = rng.uniform((-0.5, 0.2, -3), (0.5, 1.4, 3), (40, 3))
+    world = rng.integers(0, 2, 40)
+    # Around a tilted box and a tilted tetrahedron in a world without buildings
+    engine.set_layouts(np.full(3, -1), np.array([False, False, True]))
+    engine.set_obstacles(
+        np.array([[(80.0, 0.0, 5.0), (80.0, 20.0, 5.0), (0.0, 80.0, 12.0)]] * 3),
+        np.array([[sensing.LEVEL, sensing.LEVEL, from_euler(0.4, -0.3, 1.0)]] * 3),
+        np.array([False, False, True]),
+    )
+    engine.add_body(TETRAHEDRON, (0.0, 120.0, 12.0), from_euler(0.3, 0.5, 2.0), world=2)
+    yaw = rng.uniform(-3, 3, 40)
+    target = np.array([(0.0, 80.0, 12.0), (0.0, 120.0, 12.0)] * 20)
+    away = np.stack([np.cos(yaw), np.sin(yaw), np.full(40, 0.3)], axis=1)
+    eye = np.concatenate([eye, target - 14 * away * (1, 1, -1)])
+    angles = np.concatenate([angles, np.stack([angles[:, 0], np.full(40, 0.3), yaw], axis=1)])
+    turns = [from_euler(*one) for one in angles.tolist()]
+    cameras = cameras_of(np.concatenate([world, np.full(40, 2)]), eye, turns)
+    images = draw(engine, cameras, drones)
+    inverse = 1.0 / images.depth.astype(float)
+    across, down = inverse[:, 1:-1, 2:], inverse[:, 2:, 1:-1]
+    left, above = inverse[:, 1:-1, :-2], inverse[:, :-2, 1:-1]
+    here = inverse[:, 1:-1, 1:-1]
+    bend = np.maximum(np.abs(across + left - 2 * here), np.abs(down + above - 2 * here))
+    b = (across - left) / (LENS.x[2:] - LENS.x[:-2])
+    c = (down - above) / (LENS.y[2:] - LENS.y[:-2])[:, None]
+    a = here - b * LENS.x[1:-1] - c * LENS.y[1:-1, None]
+    # Normals of what is seen point to the camera
+    expected = -np.stack([a, b, c], axis=-1)
+    expected /= np.linalg.norm(expected, axis=-1, keepdims=True)
+    normals = images.normals[:, 1:-1, 1:-1]
+    labels = images.labels[:, 1:-1, 1:-1]
+    chosen = (bend < 1e-6 * here) & (labels != SKY)
+    assert chosen.mean() > 0.3
+    for label in (LAND, BUILDING, OBSTACLE):
+        assert (chosen & (labels == label)).sum() > 1000
+    cosine = (normals * expected).sum(axis=-1)[chosen]
+    assert (cosine > 0.999).mean() > 0.999
+    assert (images.normals[images.labels == SKY] == 0.0).all()
+    length = np.linalg.norm(images.normals, axis=-1)[images.labels != SKY]
+    np.testing.assert_allclose(length, 1.0, rtol=1e-6)
+    engine.close()
+
+
+def test_normals_of_round_shapes_and_walls():
+    """A ball, a tilted cylinder with its cap, a wall and the ground, each in known places."""
+    obstacles = (Obstacle("sphere", (2.0,)), Obstacle("cylinder", (1.0, 4.0)))
+    engine = sensing.open_world((Solids(WALLS[:1]),), obstacles=obstacles)
+    turn = from_euler(0.0, -1.2, 0.4)
+    place = np.array([(10.0, 4.0, 10.0), (10.0, -4.0, 10.0)])
+    attitude = np.array([sensing.LEVEL, turn])
+    engine.set_obstacles(place[None], attitude[None], np.ones(1, dtype=bool))
+    camera = from_euler(0.1, 0.05, 0.02)
+    eye = np.array([0.0, 0.0, 10.0])
+    images = draw(engine, cameras_of([0], [eye], [camera]))
+    depth, labels = images.depth[0].astype(float), images.labels[0]
+    frame = np.array(axes(camera))
+    rays = np.stack(np.broadcast_arrays(1.0, LENS.x, LENS.y[:, None]), axis=-1)
+    points = eye + depth[..., None] * rays @ frame
+    normals = images.normals[0] @ frame
+    for label, normal in ((LAND, (0.0, 0.0, 1.0)), (BUILDING, (-1.0, 0.0, 0.0))):
+        shown = normals[labels == label]
+        assert len(shown) > 100
+        np.testing.assert_allclose(shown, np.broadcast_to(normal, shown.shape), atol=1e-6)
+    ball = (labels == OBSTACLE) & (points[..., 1] > 0)
+    assert ball.sum() > 20
+    assert normals[ball] == pytest.approx((points[ball] - place[0]) / 2.0, abs=1e-4)
+    tube = (labels == OBSTACLE) & (points[..., 1] < 0)
+    local = (points[tube] - place[1]) @ np.array(axes(turn)).T
+    mine = normals[tube] @ np.array(axes(turn)).T
+    is_cap = np.hypot(local[:, 0], local[:, 1]) < 1.0 - 1e-4
+    assert 3 < is_cap.sum() < tube.sum() - 10
+    assert np.abs(local[is_cap, 2]) == pytest.approx(2.0, abs=1e-4)
+    assert mine[is_cap] == pytest.approx(
+        np.sign(local[is_cap, 2])[:, None] * np.array([0.0, 0.0, 1.0]), abs=1e-5
+    )
+    side = local[~is_cap] * [1.0, 1.0, 0.0]
+    assert mine[~is_cap] == pytest.approx(side, abs=1e-3)
+    engine.close()
+
+
+def scene_of_walls(worlds=1):
+    """An engine with walls, and a camera in each world before a wall."""
+    engine = sensing.open_world((Solids(WALLS),), worlds)
+    count = list(range(worlds))
+    turn = from_euler(0.05, 0.02, 0.2)
+    return engine, cameras_of(count, [(0.0, -3.0, 12.0)] * worlds, [turn] * worlds)
+
+
+def test_a_look_changes_the_colours_of_its_world_only():
+    engine, cameras = scene_of_walls(worlds=3)
+    before = draw(engine, cameras)
+    engine.set_look(1, Look())
+    engine.set_look(1, Look(1.0, 5))
+    after = draw(engine, cameras)
+    for world in (0, 2):
+        np.testing.assert_array_equal(after.colours[world], before.colours[world])
+    for one, other in zip(after, before, strict=True):
+        if one is not after.colours:
+            np.testing.assert_array_equal(one, other)
+    for label in (SKY, LAND, BUILDING):
+        shown = after.labels[1] == label
+        assert (after.colours[1][shown] != before.colours[1][shown]).any(axis=1).mean() > 0.9
+    engine.set_look(2, Look(1.0, 5))
+    engine.set_look(0, Look(1.0, 6))
+    again = draw(engine, cameras)
+    np.testing.assert_array_equal(again.colours[2], after.colours[1])
+    assert (again.colours[0] != after.colours[1]).mean() > 0.8
+    for world in range(3):
+        engine.set_look(world, Look())
+    np.testing.assert_array_equal(draw(engine, cameras).colours, before.colours)
+    # Weak looks are near the default
+    engine.set_look(0, Look(0.1, 5))
+    error = draw(engine, cameras).colours[0].astype(float) - before.colours[0]
+    assert 0 < np.abs(error).mean() < 30
+    engine.close()
+
+
+def test_windows_are_where_coordinates_on_walls_say():
+    engine, cameras = scene_of_walls()
+    engine.set_look(0, Look(1.0, 3))
+    images = draw(engine, cameras)
+    across, up, fraction, lit = engine._picture_maker._paint.windows[0]
+    assert lit != 0.0
+    frame = np.array(axes(cameras.quaternion[0]))
+    rays = np.stack(np.broadcast_arrays(1.0, LENS.x, LENS.y[:, None]), axis=-1)
+    points = cameras.eye[0] + images.depth[0].astype(float)[..., None] * rays @ frame
+    normals = images.normals[0] @ frame
+    # The wall at x = 20 from y = -5 to 5
+    wall = (images.labels[0] == BUILDING) & (normals[..., 0] < -0.99) & (points[..., 1] < 4.999)
+    y, z = points[wall][:, 1], points[wall][:, 2]
+    part = np.stack([(-y / across) % 1.0, (z / up) % 1.0])
+    clear = (np.abs(part - fraction) > 1e-4).all(axis=0) & (part > 1e-4).all(axis=0)
+    is_window = (part < fraction).all(axis=0)
+    colours = images.colours[0][wall][clear].astype(int)
+    kinds = [np.unique(colours[is_window[clear] == one], axis=0) for one in (False, True)]
+    assert [len(one) for one in kinds] == [1, 1]
+    expected = np.clip(kinds[0][0] + lit, 0, 255)
+    assert np.abs(kinds[1][0] - expected).max() <= 1
+    assert 0.05 < is_window.mean() < 0.7
+    engine.close()
+
+
+def test_flow_is_the_motion_of_projected_points():
+    """Of walls, ground and sky, of a ball that rolls, and of another drone, by SciPy's rotations.
+
+    Two cameras move and turn in different ways; one has a narrow field of view.
+    """
+    engine = sensing.open_world((Solids(WALLS),), drones=2, obstacles=(Obstacle("sphere", (2.0,)),))
+    rng = np.random.default_rng(2)
+
+    def random_turns(count):
+        return Rotation.from_euler("ZYX", rng.uniform(-0.2, 0.2, (count, 3)))
+
+    # Positions and attitudes of the cameras, the ball and the drones: earlier, and now
+    eye = np.array([(0.0, -3.0, 12.0), (-3.0, 1.0, 10.0)])
+    ball, drone = np.array([(15.0, -4.0, 11.0)]), np.array([(0.0, 90.0, 9.0), (6.0, 0.5, 11.0)])
+    places = [(one + rng.normal(size=one.shape) * 0.3, one) for one in (eye, ball, drone)]
+    turns = [(random_turns(len(one)), random_turns(len(one))) for one in (eye, ball, drone)]
+    states = [[(a[k], b[k].as_quat()) for a, b in zip(places, turns, strict=True)] for k in (0, 1)]
+    before, now = states
+    engine.set_obstacles(*(one[None] for one in now[1]), np.ones(1, dtype=bool))
+    swarm = sensing.swarm_of(1, 2, now[2][0], quaternion=now[2][1])
+    cameras = cameras_of([0, 0], *now[0])._replace(tangent=np.array([1.0, 0.6]))
+    earlier = Earlier(
+        *before[0], tuple(one[None] for one in before[2]), tuple(one[None] for one in before[1])
+    )
+    images = blank(2)
+    engine.pictures(cameras, images, (swarm, np.ones((1, 2), dtype=bool)), earlier)
+    assert set(np.unique(images.labels)) == {SKY, LAND, BUILDING, OBSTACLE, DRONE}
+    row, column = np.indices((36, 48))
+    for c, tangent in enumerate((1.0, 0.6)):
+        lens = make_pixel_rays(48, 36, tangent)
+        rays = np.stack(np.broadcast_arrays(1.0, lens.x, lens.y[:, None]), axis=-1)
+        rays = turns[0][1][c].apply(rays.reshape(-1, 3)).reshape(rays.shape)
+        away = images.depth[c].astype(float)[..., None] * rays
+        points = places[0][1][c] + away
+        labels = images.labels[c]
+        for label, kind, k in ((OBSTACLE, 1, 0), (DRONE, 2, 1)):
+            shown = labels == label
+            local = turns[kind][1][k].inv().apply(points[shown] - places[kind][1][k])
+            points[shown] = places[kind][0][k] + turns[kind][0][k].apply(local)
+        seen = points - places[0][0][c]
+        seen[labels == SKY] = away[labels == SKY]
+        seen = turns[0][0][c].inv().apply(seen.reshape(-1, 3)).reshape(seen.shape)
+        # Columns and rows of the earlier picture, by the focal length
+        focal = 18 / tangent
+        column0 = 24 - focal * seen[..., 1] / seen[..., 0]
+        row0 = 17 - focal * seen[..., 2] / seen[..., 0]
+        expected = np.stack([column - column0, row - row0], axis=-1)
+        ahead = seen[..., 0] > 0.1
+        assert ahead.mean() > 0.99
+        np.testing.assert_allclose(images.flow[c][ahead], expected[ahead], rtol=1e-4, atol=1e-3)
+        assert np.abs(images.flow[c]).max() < MAX_FLOW
+        assert np.abs(images.flow[c]).mean() > 1.0
+    # Nothing has moved since now
+    still = draw(engine, cameras, (swarm, np.ones((1, 2), dtype=bool)))
+    np.testing.assert_allclose(still.flow, 0.0, atol=1e-6)
+    engine.close()
+
+
+def test_points_that_were_behind_the_camera_have_no_flow():
+    engine, cameras = scene_of_walls()
+    turned = cameras.quaternion[:, [1, 0, 3, 2]] * [1, -1, 1, -1]  # by half a turn about z
+    poses = [(np.zeros((1, count, 3)), np.zeros((1, count, 4))) for count in (1, 0)]
+    images = blank(1)
+    engine.pictures(cameras, images, None, Earlier(cameras.eye, turned, *poses))
+    assert (images.flow == 0.0).all()
     engine.close()

@@ -1,5 +1,6 @@
 import contextlib
 import dataclasses
+import json
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.geometry.solids import Solids
 from bulletuav.geometry.view import BUILDING, DRONE, FAR, LAND, NEAR, OBSTACLE, SKY, SKY_COLOUR
 from bulletuav.sensors.camera import Camera
+from bulletuav.sensors.mounts import as_mounts
 
 SIZE = (64, 48)
 ALL = ["rgb", "depth", "segmentation", "ray_depth"]
@@ -276,3 +278,346 @@ def test_noise_of_depths_grows_with_their_square(photograph):
     after = sensing.measure(noisy, swarm, steps=1, rngs=[np.random.default_rng(1)])
     np.testing.assert_array_equal(after["depth"], before)
     engine.close()
+
+
+@BOTH
+@pytest.mark.parametrize("depth", ["metres", "linear", "inverse"])
+def test_depths_are_clipped_to_the_range_and_normalised(depth, camera):
+    """A tower nearer than the range, and a sky beyond it."""
+    near, far = 21.0, 36.0
+    engine = sensing.open_world((TOWER,))
+    swarm = sensing.swarm_at(engine, (0, 0, 30))
+    views = {"radius": (RADIUS,), "camera_size": SIZE, "wanted": frozenset(ALL), "camera": camera}
+    plain = sensing.sensor_of(Camera, engine.shape, engine, **views)
+    views |= {"camera_range": (near, far), "camera_depth": depth}
+    ranged = sensing.sensor_of(Camera, engine.shape, engine, **views)
+    # No exposure yet: the farthest depth everywhere
+    start = {"metres": far, "linear": 1.0, "inverse": 0.0}[depth]
+    assert (ranged.pictures["depth"] == start).all()
+    metres = sensing.measure(plain, swarm, steps=0)["depth"].astype(float).clip(near, far)
+    found = sensing.measure(ranged, swarm, steps=0)["depth"]
+    expected = {
+        "metres": metres,
+        "linear": (metres - 21) / 15,
+        "inverse": (36 / metres - 1) / (36 / 21 - 1),
+    }[depth]
+    assert found == pytest.approx(expected, rel=1e-6, abs=1e-7)
+    label = ranged.labels(ranged.setup)["depth"]
+    assert (label.low, label.high) == ((near, far) if depth == "metres" else (0.0, 1.0))
+    assert (found.min(), found.max()) == (label.low, label.high)
+    # Held pictures are not converted again
+    before = found.copy()
+    held = sensing.measure(ranged, swarm, steps=1, mask=[[False]])["depth"]
+    np.testing.assert_array_equal(held, before)
+    engine.close()
+
+
+def shoot(mounts, position, quaternion=sensing.LEVEL, size=SIZE, fov=90.0, **setup):
+    """Depths of the cameras of one drone before a tower, (H, W) or (cameras, H, W)."""
+    engine = sensing.open_world((TOWER,))
+    swarm = sensing.swarm_at(engine, position, quaternion)
+    views = {"radius": (0.5,), "camera_size": size, "wanted": frozenset({"depth"}), **setup}
+    camera = sensing.sensor_of(
+        Camera, engine.shape, engine, camera_mounts=as_mounts(mounts), **views
+    )
+    camera.fov[:] = fov
+    depth = sensing.measure(camera, swarm, steps=0)["depth"][0, 0]
+    engine.close()
+    return depth
+
+
+def share_equal(one, other):
+    """Fraction of pixels with the same depth but for rounding."""
+    assert one.shape == other.shape
+    return np.isclose(one, other, rtol=1e-5).mean()
+
+
+@BOTH
+def test_a_mounted_camera_sees_what_a_turned_drone_sees(camera):
+    """By SciPy's rotations; signs of angles are those of MAVLink's gimbals."""
+    body = Rotation.from_euler("ZYX", [0.3, 0.2, -0.1])
+    mount = {"pitch": -20.0, "yaw": 25.0, "roll": 15.0, "offset": (0.3, 0.2, -0.1)}
+    turn = Rotation.from_euler("ZYX", [25.0, 20.0, 15.0], degrees=True)
+    place = np.array([3.0, -1.0, 30.0])
+    found = shoot(mount, place, body.as_quat(), camera=camera)
+    eye = place + body.apply([0.3, 0.2, -0.1])
+    expected = shoot({"offset": (0.0, 0.0, 0.0)}, eye, (body * turn).as_quat(), camera=camera)
+    assert np.ptp(found) > 100
+    assert share_equal(found, expected) > (0.99 if camera == "compiled" else 0.9)
+
+
+def test_cameras_look_where_their_angles_say():
+    """Down, up, to the left and back, from the front of the drone."""
+    mounts = [{"pitch": -90.0}, {"pitch": 90.0}, {"yaw": 90.0}, {"yaw": 180.0}, {"pitch": -30.0}]
+    # The tower is 20 m to the left of a drone that looks to the south
+    south = Rotation.from_euler("z", -90, degrees=True).as_quat()
+    depth = shoot(mounts, (0.0, 0.0, 30.0), south)
+    assert depth.shape == (5, SIZE[1], SIZE[0])
+    middle = depth[:, SIZE[1] // 2 - 1, SIZE[0] // 2]
+    assert middle == pytest.approx([30.0, FAR, 20.0, FAR, 60.0], rel=1e-6)
+
+
+def test_the_right_side_of_a_rolled_camera_goes_down():
+    """Rolled by 90 degrees, its right edge is at 45 degrees below the horizon."""
+    depth = shoot({"roll": 90.0}, (-500.0, 0.0, 10.0), size=(64, 64))
+    assert (depth[:, :32] == FAR).any(axis=1).all()
+    assert depth[31, 63] == pytest.approx(10.0 / (1 - 2 / 64), rel=1e-5)
+
+
+def test_a_stabilized_camera_stays_level_and_follows_the_heading():
+    yaw = Rotation.from_euler("z", 0.4)
+    tilted = (yaw * Rotation.from_euler("YX", [0.5, -0.7])).as_quat()
+    mount = {"pitch": -10.0, "yaw": 5.0, "offset": (0.0, 0.0, 0.0)}
+    found = shoot({**mount, "stabilized": True}, (0.0, 0.0, 30.0), tilted)
+    assert share_equal(found, shoot(mount, (0.0, 0.0, 30.0), yaw.as_quat())) > 0.99
+    assert share_equal(found, shoot(mount, (0.0, 0.0, 30.0), tilted)) < 0.5
+
+
+def test_four_cameras_see_a_panorama():
+    """All around at eye level, a box is where the slab method of a plan finds it."""
+    yaw = np.array([0.0, 90.0, 180.0, -90.0])
+    mounts = [{"yaw": angle, "offset": (0.0, 0.0, 0.0)} for angle in yaw.tolist()]
+    # Most of the box is to the right of the first camera and to the left of the last
+    place = (10.0, 12.0, 30.0)
+    found = shoot(mounts, place, size=(32, 32))[:, 15]
+    angle = np.radians(yaw)[:, None]
+    left = 1 - np.arange(32) / 16
+    x, y = np.cos(angle) - left * np.sin(angle), np.sin(angle) + left * np.cos(angle)
+    with np.errstate(divide="ignore"):
+        ends = np.array(
+            [[(20 - place[0]) / x, (40 - place[0]) / x], [(-5 - place[1]) / y, (5 - place[1]) / y]]
+        )
+    enters, leaves = ends.min(axis=1).max(axis=0), ends.max(axis=1).min(axis=0)
+    expected = np.where((enters <= leaves) & (enters > 0), enters, FAR)
+    np.testing.assert_allclose(found, expected, rtol=1e-5)
+    assert (expected < FAR).sum(axis=1).tolist() == [12, 0, 0, 7]
+
+
+def test_pictures_of_several_cameras_are_stacked():
+    """Each is the picture of that camera alone, also in observations and their space."""
+    mounts = ({"pitch": -20.0}, {"yaw": 120.0, "roll": 5.0}, {"pitch": -90.0, "stabilized": True})
+    images = ("depth", "segmentation", "rgb")
+    options = {"observation": images, "camera_size": (16, 12), "dynamics": "point_mass"}
+    options |= {"num_drones": 2, "randomization": {"camera_fov": (60.0, 100.0)}}
+
+    def observe(camera_mounts):
+        """Observations of two worlds after a decision, and the space of a drone."""
+        options["camera_mounts"] = camera_mounts
+        with contextlib.closing(bulletuav.Aviary("obstacles", 2, **options)) as aviary:
+            aviary.reset(seeds=3)
+            action = np.full((2, 2, 3), 0.5)
+            return aviary.step(action).observations, aviary.observer.space()
+
+    # As files of runs store them
+    together, space = observe(json.loads(json.dumps(mounts)))
+    assert together["depth"].shape == (2, 2, 3, 12, 16)
+    assert together["rgb"].shape == (2, 2, 3, 12, 16, 3)
+    assert all(space[name].contains(together[name][0, 0]) for name in images)
+    for k, mount in enumerate(mounts):
+        alone, _ = observe(mount)
+        for name in images:
+            np.testing.assert_array_equal(together[name][:, :, k], alone[name])
+
+
+def test_pictures_are_late():
+    """Of two drones, each with its own delay, in two worlds, one of which restarts."""
+    engine = sensing.open_world((TOWER,), worlds=2, drones=2)
+    views = {"radius": (RADIUS,) * 2, "camera_size": SIZE, "wanted": frozenset(ALL), "period": 0.1}
+    camera = sensing.sensor_of(Camera, engine.shape, engine, longest_picture_delay=0.3, **views)
+    camera.delay[:] = [[0.0, 0.1], [0.24, 0.3]]
+    late = np.array([[0, 1], [2, 3]])
+    middle = pixel(20, 0, 0)
+    steps = np.zeros(2, dtype=int)
+    places = np.zeros((2, 2, 3)) + [0.0, 0.0, 30.0]
+    past = []
+    for decision in range(14):
+        if decision == 8:
+            steps[1] = 0
+        places[..., 0] = decision + 0.25 * np.arange(4).reshape(2, 2)
+        past.append(20 - RADIUS - places[..., 0])
+        swarm = sensing.swarm_of(2, 2, places)
+        pictures = sensing.measure(camera, swarm, steps=steps)
+        then = decision - np.minimum(late, steps[:, None])
+        expected = np.take_along_axis(np.array(past), then[None], axis=0)[0]
+        found = pictures["depth"][:, :, *middle]
+        np.testing.assert_allclose(found, expected, rtol=1e-6)
+        np.testing.assert_array_equal(pictures["ray_depth"], pictures["depth"])
+        steps += 1
+    # A drone that flies no more holds its last picture
+    before = pictures["rgb"].copy()
+    after = sensing.measure(camera, swarm, mask=[[False] * 2] * 2, steps=steps)["rgb"]
+    np.testing.assert_array_equal(after, before)
+    engine.close()
+
+
+def test_delays_are_drawn_in_each_episode_and_kept_in_snapshots():
+    options = {"observation": ("depth", "segmentation"), "camera_size": (16, 12), "num_drones": 3}
+    options |= {"dynamics": "point_mass", "randomization": {"camera_delay": (0.0, 0.3)}}
+    with contextlib.closing(bulletuav.Aviary("crossing", 2, **options)) as aviary:
+        aviary.reset(seeds=0)
+        action = np.full((2, 3, 3), 0.7)
+        for _ in range(4):
+            delay = aviary.step(action).info["random/camera_delay"]
+        assert len(np.unique(delay)) == 6
+        assert ((delay >= 0.0) & (delay <= 0.3)).all()
+        kept = aviary.save_state()
+        flown = [aviary.step(action).observations for _ in range(4)]
+        aviary.load_state(kept)
+        again = [aviary.step(action).observations for _ in range(4)]
+        for one, other in zip(flown, again, strict=True):
+            for name in ("depth", "segmentation"):
+                np.testing.assert_array_equal(one[name], other[name])
+
+
+def test_steps_of_depths_are_those_of_disparities():
+    """Of the Kinect; at 5 m Khoshelham and Oude Elberink find steps of 7 cm."""
+    engine = sensing.open_world((TOWER,))
+    views = {"radius": (0.0,), "camera_size": SIZE, "wanted": frozenset({"depth"})}
+    camera = sensing.sensor_of(Camera, engine.shape, engine, **views)
+    camera.depth_step[:] = 0.00285
+    seen = []
+    for ahead in np.linspace(15.0, 15.5, 401):
+        swarm = sensing.swarm_of(1, 1, (ahead, 0, 30))
+        depth = sensing.measure(camera, swarm, steps=0)["depth"][0, 0]
+        seen.append(float(depth[pixel(20, 0, 0)]))
+    levels = np.unique(seen)
+    assert np.diff(levels) == pytest.approx(0.00285 * levels[1:] * levels[:-1], rel=1e-4)
+    assert levels[-1] - levels[-2] == pytest.approx(0.07, abs=0.005)
+    truth = 20 - np.linspace(15.0, 15.5, 401)
+    assert np.abs(1 / np.array(seen) - 1 / truth).max() <= 0.00285 / 2 * 1.0001
+    # Less than half a step of 1/depth is none: 1 / (0.00285 / 2) = 702 m
+    assert FAR in depth
+    assert depth[depth < FAR].max() <= 1 / 0.00285 * 1.0001
+    # Noise may bring a depth down to zero
+    camera.depth_noise[:] = 1.0
+    rngs = [np.random.default_rng(0)]
+    depth = sensing.measure(camera, swarm, steps=0, rngs=rngs)["depth"]
+    assert (depth.min(), depth.max()) == (0.0, FAR)
+    engine.close()
+
+
+def test_edges_lose_their_depths():
+    """At the two sides of the tower's outline all, inside of its wall and of the ground none."""
+    engine = sensing.open_world((TOWER,))
+    swarm = sensing.swarm_of(1, 1, (0, 0, 30))
+    views = {"radius": (0.0,), "camera_size": SIZE, "wanted": frozenset({"depth"})}
+    camera = sensing.sensor_of(Camera, engine.shape, engine, **views)
+    true = sensing.measure(camera, swarm, steps=0)["depth"][0, 0].copy()
+    wall = np.flatnonzero(true[20] < FAR)
+    # 5 m to the left and to the right at 20 m
+    assert (wall[0], wall[-1]) == (32 - 6, 32 + 6)
+    camera.edge_dropout[:] = 1.0
+    rngs = [np.random.default_rng(0)]
+    found = sensing.measure(camera, swarm, steps=0, rngs=rngs)["depth"][0, 0]
+    lost = np.flatnonzero((found != true)[20])
+    assert lost.tolist() == [26, 38]
+    np.testing.assert_array_equal(found[20, 27:38], true[20, 27:38])
+    ground = found[40:, :20]
+    np.testing.assert_array_equal(ground, true[40:, :20])
+    # A third of them, drawn at random
+    camera.edge_dropout[:] = 1 / 3
+    edge, lost = found != true, []
+    for _ in range(60):
+        drawn = sensing.measure(camera, swarm, steps=0, rngs=rngs)["depth"][0, 0]
+        assert not (drawn != true)[~edge].any()
+        lost.append((drawn == FAR)[edge].mean())
+    assert np.mean(lost) == pytest.approx(1 / 3, abs=0.02)
+    engine.close()
+
+
+def test_colours_are_drawn_in_each_episode_and_kept_in_snapshots():
+    options = {"observation": ("rgb", "segmentation"), "camera_size": (32, 24)}
+    options |= {"dynamics": "point_mass", "num_layouts": 1, "num_drones": 1}
+
+    def observe(colours):
+        """Pictures of two worlds in two episodes, and after the first is restored."""
+        randomization = {} if colours is None else {"camera_colours": colours}
+        with contextlib.closing(
+            bulletuav.Aviary("lidar_navigation", 2, randomization=randomization, **options)
+        ) as aviary:
+            first = aviary.reset(seeds=(4, 5))["rgb"].copy()
+            kept = aviary.save_state()
+            second = aviary.reset(seeds=(4, 7))["rgb"].copy()
+            aviary.load_state(kept)
+            third = aviary.step(np.zeros((2, 1, 3))).observations["rgb"].copy()
+            return first, second, third
+
+    plain, _, _ = observe(None)
+    first, second, third = observe((0.5, 1.0))
+    assert (first != plain).mean() > 0.5
+    np.testing.assert_array_equal(first[0], second[0])
+    sky = first[:, 0, 0, 0]
+    assert not (sky[0] == sky[1]).all()
+    assert not (second[1, 0, 0, 0] == sky[1]).all()
+    np.testing.assert_array_equal(third[:, 0, 0, 0], sky)
+    some, _, _ = observe(0.0)
+    np.testing.assert_array_equal(some, plain)
+
+
+def test_normals_are_observed():
+    with contextlib.closing(
+        bulletuav.Aviary(
+            "hover", observation=("normals",), camera_size=(16, 12), dynamics="point_mass"
+        )
+    ) as aviary:
+        normals = aviary.reset(seeds=0)["normals"]
+        assert aviary.observer.space()["normals"].contains(normals[0, 0])
+        np.testing.assert_allclose(normals[0, 0, -1, :, 2], 1.0, rtol=1e-6)
+    with pytest.raises(ValueError, match="camera 'bullet' draws no 'normals'"):
+        bulletuav.Aviary("hover", observation="normals", camera="bullet", dynamics="point_mass")
+    options = {"camera": "bullet", "randomization": {"camera_colours": 0.5}}
+    with pytest.raises(ValueError, match="camera 'bullet' has its own colours"):
+        bulletuav.Aviary("hover", dynamics="point_mass", **options)
+
+
+def test_flow_is_that_since_the_last_decision():
+    """Of a drone that moves 1 m to the left, and of a ball that moves down, but only while it does.
+
+    The focal length is 24 pixels.
+    """
+    obstacles = (Obstacle("sphere", (1.0,)),)
+    engine = sensing.open_world((TOWER,), worlds=2, obstacles=obstacles)
+    every, level = np.ones(2, dtype=bool), np.tile(sensing.LEVEL, (2, 1, 1))
+
+    def place_ball(height):
+        engine.set_obstacles(np.full((2, 1, 3), (10.0, -4.0, height)), level, every)
+
+    views = {"radius": (0.0,), "camera_size": SIZE, "wanted": frozenset({"flow", "depth"})}
+    camera = sensing.sensor_of(Camera, engine.shape, engine, **views)
+    here, there = (sensing.swarm_of(2, 1, (0, y, 30)) for y in (0.0, 1.0))
+    place_ball(30.0)
+    flow = sensing.measure(camera, here, steps=0)["flow"][0, 0]
+    assert np.abs(flow).max() < 1e-6
+    flow = sensing.measure(camera, there, before=here, steps=1)["flow"][0, 0]
+    wall, ball = pixel(20, -1, 0), pixel(9, -5, 0)
+    assert flow[wall] == pytest.approx([24 / 20, 0.0], abs=1e-5)
+    assert flow[ball] == pytest.approx([24 / 9, 0.0], rel=0.02, abs=1e-5)
+    place_ball(29.5)
+    flow = sensing.measure(camera, there, steps=[2, 0])["flow"]
+    assert flow[0, 0][wall] == pytest.approx([0.0, 0.0], abs=1e-5)
+    assert flow[0, 0][ball] == pytest.approx([0.0, 24 * 0.5 / 9], rel=0.02, abs=1e-5)
+    # The second world started with the ball there
+    assert flow[1, 0][ball] == pytest.approx([0.0, 0.0], abs=1e-5)
+    flow = sensing.measure(camera, there, steps=[3, 1])["flow"]
+    assert np.abs(flow).max() < 1e-6
+    # A new body is still
+    engine.add_body([(0.0, 0, 0), (3, 0, 0), (0, 3, 0), (0, 0, 3)], (8.0, 0.0, 28.0))
+    flow = sensing.measure(camera, there, steps=[4, 2])["flow"]
+    assert np.abs(flow).max() < 1e-6
+    engine.close()
+
+
+def test_flow_is_kept_in_snapshots():
+    options = {"observation": ("flow",), "camera_size": (16, 12), "dynamics": "point_mass"}
+    with contextlib.closing(bulletuav.Aviary("obstacles", 2, num_moving=3, **options)) as aviary:
+        first = aviary.reset(seeds=0)["flow"]
+        assert (first == 0.0).all() or np.abs(first).max() < 1e-6
+        action = np.full((2, aviary.swarm.position.shape[1], 3), 0.5)
+        aviary.step(action)
+        kept = aviary.save_state()
+        flown = aviary.step(action).observations["flow"].copy()
+        aviary.step(action)
+        aviary.load_state(kept)
+        np.testing.assert_array_equal(aviary.step(action).observations["flow"], flown)
+        assert np.abs(flown).max() > 0.1
+        assert aviary.observer.space()["flow"].contains(flown[0, 0])

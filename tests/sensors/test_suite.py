@@ -36,6 +36,8 @@ SOME = {
     "bias": 3.0,
     "iron": 2.0,
     "fov": 60.0,
+    "step": 0.003,
+    "colours": 0.5,
 }
 """Values of uncertain parameters, by the ends of their names"""
 CHECKED = {

@@ -31,7 +31,7 @@ BAD = (
     *("", "nonsense", b"bytes", [], {}, (), (1, 2, 3, 4, 5), [None], {"nonsense": 1}, 1j),
     *(object, lambda: None, np.full(3, np.nan), np.zeros((2, 2)), np.array("text"), {1: 2}),
 )
-IMAGES = {"rgb", "depth", "segmentation", "ray_depth"}
+IMAGES = {"rgb", "depth", "segmentation", "ray_depth", "normals", "flow"}
 
 
 class Form(NamedTuple):

@@ -134,7 +134,7 @@ class ObservationBuilder:
                 spaces[name] = Box(self.low[part], self.high[part], dtype=np.float32)
         width, height = self._size
         for name, image in self.images.items():
-            shape = (height, width, *image.pixel)
+            shape = (*image.stack, height, width, *image.pixel)
             spaces[name] = Box(image.low, image.high, shape, image.dtype)
         return Dict(spaces)
 
