@@ -50,6 +50,8 @@ INTERFACE = (
     "camera",
     "camera_size",
     "camera_hz",
+    "camera_format",
+    "frame_stack",
 )
 """Options that determine observations and actions of a policy; fixed wherever it flies"""
 SCENE = ("num_drones", "airframe", "difficulty", "preset")
