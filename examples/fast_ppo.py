@@ -39,8 +39,6 @@ PAID = {"progress": 0.05, "goal": 2.0, "energy": -0.0005, "time": -0.02}
 TRAFFIC = {**PAID, "conflict": -6.0, "warning": -0.1, "collision": -5.0, "out_of_bounds": -5.0}
 SEEN = ["velocity", "goal", "intruders"]  # no absolute position
 CLIP, LAMBDA, VALUE = 0.2, 0.95, 0.5
-
-
 MEDIUM = {"difficulty": "medium"}
 
 
@@ -235,8 +233,8 @@ def train(
     by: str = "fast_ppo",
     make_worlds: Any = Worlds,
     make_features: Any = swarm_features,
-) -> None:
-    """Train, print the mean return, and save the policy before and after training."""
+) -> Agent:
+    """Train, print the mean return, save the policy before and after training, and return it."""
     torch.manual_seed(seed)
     worlds = make_worlds(plan, seed, central)
     size = worlds.envs[0].action_space.shape[0]
@@ -257,6 +255,7 @@ def train(
     for env in worlds.envs:
         env.close()
     save(agent, folder)
+    return agent
 
 
 def save(agent: Agent, folder: Path) -> None:

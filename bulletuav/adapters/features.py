@@ -52,9 +52,9 @@ class PictureFeatures(BaseFeaturesExtractor):
     """Symlog of vectors, and three convolutions of each picture of a dict observation.
 
     Depths d in metres become 1 / (1 + d / depth_scale). Pictures are then reduced to about 16
-    pixels a side: depths to that of the nearest pixel, so that thin obstacles remain, and colours
-    to their mean. Frames of a stack are channels. The layers are a small form of those of V. Mnih
-    et al., Human-level control through deep reinforcement learning (2015).
+    pixels a side: depths in metres to that of the nearest pixel, so that thin obstacles remain, and
+    others to their mean. Frames of a stack are channels. The layers are a small form of those of
+    V. Mnih et al., Human-level control through deep reinforcement learning (2015).
 
     Attributes:
         pictures: The layers, by name of the picture.
@@ -82,16 +82,19 @@ class PictureFeatures(BaseFeaturesExtractor):
         numbers = sum(boxes[name].shape[0] for name in self._vectors)
         super().__init__(observation_space, numbers + size * len(self._boxes))
         self._scale, self._depth_scale = scale, depth_scale
+        self._factors: dict[str, int] = {}
         self.pictures = nn.ModuleDict()
         for name, box in self._boxes.items():
-            channels = self._reduce(name, torch.zeros(1, *box.shape)).shape[1:]
-            widths = (channels[0], 8, 16, 32)
+            channels, *sides = self._channels(name, torch.zeros(1, *box.shape)).shape[1:]
+            # A side of 16 pixels is enough to fly by, and the first layers take most of the time
+            factor = self._factors[name] = max(1, min(sides) // 16)
+            widths = (channels, 8, 16, 32)
             convolutions = []
             for inputs, outputs in itertools.pairwise(widths):
                 convolution = nn.Conv2d(inputs, outputs, 3, stride=2, padding=1)
                 convolutions += [convolution, nn.ReLU()]
             # Each layer halves the sides, rounded up
-            cells = math.ceil(channels[1] / 8) * math.ceil(channels[2] / 8)
+            cells = math.prod(math.ceil(side // factor / 8) for side in sides)
             last = (nn.Flatten(), nn.Linear(32 * cells, size), nn.ReLU())
             self.pictures[name] = nn.Sequential(*convolutions, *last)
 
@@ -121,22 +124,25 @@ class PictureFeatures(BaseFeaturesExtractor):
         parts += [layers(prepared[name]) for name, layers in self.pictures.items()]
         return torch.cat(parts, 1)
 
-    def _reduce(self, name: str, picture: torch.Tensor) -> torch.Tensor:
-        """Return a picture as (B, channels, height, width) from 0 to 1, reduced in size."""
+    def _channels(self, name: str, picture: torch.Tensor) -> torch.Tensor:
+        """Return a picture (B, ...) as (B, channels, height, width)."""
         box = self._boxes[name]
         if len(box.shape) == 2:
-            picture = picture[:, None]
-        elif len(box.shape) == 4:  # frames of colour pictures
-            picture = picture.permute(0, 1, 4, 2, 3).flatten(1, 2)
-        # A side of 16 pixels is enough to fly by, and the first layers take most of the time
-        factor = max(1, min(picture.shape[-2:]) // 16)
+            return picture[:, None]
+        if box.shape[-1] == 3 and not is_image_space(box):
+            picture = picture.movedim(-1, -3)
+        return picture.flatten(1, -3)
+
+    def _reduce(self, name: str, picture: torch.Tensor) -> torch.Tensor:
+        """Return a picture as (B, channels, height, width) of the order of 1, reduced in size."""
+        box, factor = self._boxes[name], self._factors[name]
+        picture = self._channels(name, picture)
         high = float(box.high.max())
-        if box.dtype == np.float32:
-            if high > 1:
-                picture = 1 / (1 + picture / self._depth_scale)
-            return nn.functional.max_pool2d(picture, factor)
+        if box.dtype == np.float32 and high > 1:
+            return nn.functional.max_pool2d(1 / (1 + picture / self._depth_scale), factor)
         # Stable-baselines3 divides what it regards as images itself
-        return nn.functional.avg_pool2d(picture / (1 if is_image_space(box) else high), factor)
+        scale = 1 if box.dtype == np.float32 or is_image_space(box) else high
+        return nn.functional.avg_pool2d(picture / scale, factor)
 
 
 class UserSum(BaseFeaturesExtractor):
