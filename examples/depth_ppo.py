@@ -9,7 +9,7 @@ Run it:
 
     python examples/depth_ppo.py
 
-Takes 15 minutes on one idle core, and then evaluates at medium in `bullet`. Needs the extras `sb3`
+Takes 12 minutes on one core, and then evaluates at medium in `bullet`. Needs the extras `sb3`
 and `onnx`. The output folder can be flown: `--policy FOLDER`, in this folder and with `--trust`.
 """
 
