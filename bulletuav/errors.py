@@ -245,6 +245,24 @@ def read_file(path: Path, newline: str | None = None) -> str:
         raise ValueError(f"{path} cannot be read: {error.strerror}") from None
 
 
+def as_bool(name: str, value: object) -> bool:
+    """Check that a value is True or False.
+
+    Args:
+        name: Name of the value, for the message.
+        value: The value.
+
+    Returns:
+        The value.
+
+    Raises:
+        ValueError: If it is of another type.
+    """
+    if not isinstance(value, bool):
+        raise ValueError(f"{name} is {shown(value)}: True or False is needed")
+    return value
+
+
 def as_int(name: str, value: object, least: int, most: int | None = None) -> int:
     """Check that a value is an integer within bounds.
 

@@ -39,8 +39,6 @@ PAID = {"progress": 0.05, "goal": 2.0, "energy": -0.0005, "time": -0.02}
 TRAFFIC = {**PAID, "conflict": -6.0, "warning": -0.1, "collision": -5.0, "out_of_bounds": -5.0}
 SEEN = ["velocity", "goal", "intruders"]  # no absolute position
 CLIP, LAMBDA, VALUE = 0.2, 0.95, 0.5
-
-
 MEDIUM = {"difficulty": "medium"}
 
 
@@ -61,6 +59,7 @@ class Plan(NamedTuple):
     decay: float = 1.0  # final fraction of the training over which the learning rate falls
     evaluation: dict[str, Any] = MEDIUM  # options of the environment in the evaluation
     width: int = 64  # of hidden layers
+    features: str = "swarm"  # as in run.yaml
 
 
 POINTS = {"dynamics": "point_mass"}  # which are fast
@@ -104,11 +103,10 @@ def parse_arguments() -> argparse.Namespace:
 class Agent(nn.Module):
     """Actor and critic shared by all drones, with the parameter names of stable-baselines3."""
 
-    def __init__(self, env: Any, plan: Plan, state_size: int) -> None:
+    def __init__(self, features: Any, size: int, plan: Plan, state_size: int) -> None:
         super().__init__()
-        layout = find_layout(env.observation_labels)
-        self.features_extractor = SwarmFeatures(env.observation_space, layout, scale=plan.scale)
-        inputs, size = self.features_extractor.features_dim, env.action_space.shape[0]
+        self.features_extractor = features
+        inputs = features.features_dim
         actor, critic = (two_layers(count, plan.width) for count in (inputs, inputs + state_size))
         self.mlp_extractor = nn.ModuleDict({"policy_net": actor, "value_net": critic})
         self.action_net = scaled(nn.Linear(plan.width, size), 0.01)
@@ -219,13 +217,28 @@ def learn(agent: Agent, optimiser: Any, rows: list[torch.Tensor], plan: Plan) ->
             optimiser.step()
 
 
+def swarm_features(worlds: Worlds, plan: Plan) -> SwarmFeatures:
+    """Make the feature extractor of vectors, which is invariant to the order of other drones."""
+    env = worlds.envs[0]
+    layout = find_layout(env.observation_labels)
+    return SwarmFeatures(env.observation_space, layout, scale=plan.scale)
+
+
 def train(
-    plan: Plan, seed: int, central: bool, folder: Path, look: Any = None, by: str = "fast_ppo"
-) -> None:
-    """Train, print the mean return, and save the policy before and after training."""
+    plan: Plan,
+    seed: int,
+    central: bool,
+    folder: Path,
+    look: Any = None,
+    by: str = "fast_ppo",
+    make_worlds: Any = Worlds,
+    make_features: Any = swarm_features,
+) -> Agent:
+    """Train, print the mean return, save the policy before and after training, and return it."""
     torch.manual_seed(seed)
-    worlds = Worlds(plan, seed, central)
-    agent = Agent(worlds.envs[0], plan, worlds.state().shape[1])
+    worlds = make_worlds(plan, seed, central)
+    size = worlds.envs[0].action_space.shape[0]
+    agent = Agent(make_features(worlds, plan), size, plan, worlds.state().shape[1])
     save(agent, folder / CHECKPOINTS / "000")
     write_settings(plan, seed, folder, by)
     optimiser = torch.optim.Adam(agent.parameters(), plan.rate, eps=1e-5)
@@ -242,6 +255,7 @@ def train(
     for env in worlds.envs:
         env.close()
     save(agent, folder)
+    return agent
 
 
 def save(agent: Agent, folder: Path) -> None:
@@ -258,7 +272,7 @@ def save(agent: Agent, folder: Path) -> None:
 def write_settings(plan: Plan, seed: int, folder: Path, by: str) -> None:
     """Write the settings of the policy to run.yaml, as `bulletuav train` does."""
     features = {"features_extractor_kwargs": {"scale": plan.scale}}
-    model = {"features": "swarm", "policy_kwargs": {"net_arch": [plan.width] * 2, **features}}
+    model = {"features": plan.features, "policy_kwargs": {"net_arch": [plan.width] * 2, **features}}
     config = RunConfig(plan.task, seed=seed, steps=plan.steps, options=plan.options, model=model)
     text = config.text("algo", "seed", "steps", "options", "model", "constants")
     (folder / CONFIG).write_text(f"# Learned by `examples/{by}.py`.\n{text}")

@@ -31,6 +31,7 @@ EXAMPLES = {
     "fast_ppo": "crossing --critic state --steps 1 --episodes 2",
     "pillars": "--density 0.6 --episodes 1",
     "streets": "--stack --steps 1 --episodes 1",
+    "depth_ppo": "--steps 1 --episodes 1",
     "dagger": "race --rounds 2 --decisions 5 --updates 2",
     "team_critics": "maddpg --steps 1 --episodes 2",
     "self_play": "--rounds 1 --steps 1 --episodes 2",
@@ -229,6 +230,29 @@ def check_streets(told, folder):
     assert settings["options"]["sensors"] == ["streets:Earlier"]
     with pytest.raises(ValueError, match="whose module would be imported"):
         bulletuav.evaluate("lidar_navigation", folder, 1)
+
+
+def check_depth_ppo(told, folder):
+    assert numbers("# decisions: mean return #", told)[0, 0] == 64 * (40 * 3 + 24 * 5 + 15 * 8)
+    # float32 of PyTorch and of ONNX Runtime
+    assert numbers(r"ONNX file differ by at most #e-0#", told)[0, 1] >= 6
+    reached, low, high = numbers(r"at medium # \(# to #\) reach their goals", told)[0]
+    assert reached == low == 0 <= high  # which has learned nothing yet
+    settings = yaml.safe_load((folder / "run.yaml").read_text())
+    assert settings["options"]["action"] == "turn_speed"
+    assert (folder / "policy.onnx").stat().st_size > 10_000
+
+
+def test_what_a_camera_drone_observes_of_goal_and_bounds(monkeypatch):
+    """By hand: a drone at (10, 20, 5) m whose nose points north, in a square of 100 m."""
+    monkeypatch.syspath_prepend(FOLDER)
+    egocentric = runpy.run_path(str(FOLDER / "depth_ppo.py"))["egocentric"]
+    north = (0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5))
+    goal = np.array((10.0 - 30.0, 20.0 + 40.0, 7.0))  # 50 m away, to the left ahead
+    bounds = (100.0, 100.0, 15.0, 0.0, 0.0)  # east, north, up, west, south
+    seen = egocentric((10.0, 20.0, 5.0), north, goal, *bounds)
+    expected = (0.8, 0.6, 50, 2, 60, 10, 60, 10, 5, 0, 0)  # at most 60 m are observed
+    np.testing.assert_allclose(seen, expected, atol=1e-9)
 
 
 def test_ranges_of_half_a_second_ago_are_of_the_same_episode(monkeypatch):

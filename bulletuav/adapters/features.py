@@ -3,10 +3,11 @@
 They transform observations before the networks of actor and critic.
 """
 
+import itertools
 import math
 
 import numpy as np
-from gymnasium.spaces import Box
+from gymnasium.spaces import Box, Dict
 
 from bulletuav.errors import missing_extra
 from bulletuav.policies.features import LOS_EXPONENT, NLOS_EXPONENT, POSITION_SCALE
@@ -14,6 +15,7 @@ from bulletuav.sensors.sight import AHEAD
 
 try:
     import torch
+    from stable_baselines3.common.preprocessing import is_image_space
     from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
     from torch import nn
 except ImportError:
@@ -44,6 +46,103 @@ class SymlogFeatures(BaseFeaturesExtractor):
         """Return features (B, D) of observations (B, D)."""
         size = torch.log1p(self.scale * torch.abs(observations))
         return torch.sign(observations) * size
+
+
+class PictureFeatures(BaseFeaturesExtractor):
+    """Symlog of vectors, and three convolutions of each picture of a dict observation.
+
+    Depths d in metres become 1 / (1 + d / depth_scale). Pictures are then reduced to about 16
+    pixels a side: depths in metres to that of the nearest pixel, so that thin obstacles remain, and
+    others to their mean. Frames of a stack are channels. The layers are a small form of those of
+    V. Mnih et al., Human-level control through deep reinforcement learning (2015).
+
+    Attributes:
+        pictures: The layers, by name of the picture.
+    """
+
+    def __init__(
+        self,
+        observation_space: Dict,
+        size: int = 64,
+        scale: float = 1.0,
+        depth_scale: float = 10.0,
+    ) -> None:
+        """Make the layers.
+
+        Args:
+            observation_space: Observation space of one drone, with images channels-first, as
+                stable-baselines3 passes it.
+            size: Number of features of each picture.
+            scale: Scale of the numbers of vectors, see `SymlogFeatures`.
+            depth_scale: Depth with half the value of a depth of 0, m.
+        """
+        boxes = {name: box for name, box in observation_space.items() if isinstance(box, Box)}
+        self._vectors = [name for name, box in boxes.items() if len(box.shape) == 1]
+        self._boxes = {name: box for name, box in boxes.items() if len(box.shape) > 1}
+        numbers = sum(boxes[name].shape[0] for name in self._vectors)
+        super().__init__(observation_space, numbers + size * len(self._boxes))
+        self._scale, self._depth_scale = scale, depth_scale
+        self._factors: dict[str, int] = {}
+        self.pictures = nn.ModuleDict()
+        for name, box in self._boxes.items():
+            channels, *sides = self._channels(name, torch.zeros(1, *box.shape)).shape[1:]
+            # A side of 16 pixels is enough to fly by, and the first layers take most of the time
+            factor = self._factors[name] = max(1, min(sides) // 16)
+            widths = (channels, 8, 16, 32)
+            convolutions = []
+            for inputs, outputs in itertools.pairwise(widths):
+                convolution = nn.Conv2d(inputs, outputs, 3, stride=2, padding=1)
+                convolutions += [convolution, nn.ReLU()]
+            # Each layer halves the sides, rounded up
+            cells = math.prod(math.ceil(side // factor / 8) for side in sides)
+            last = (nn.Flatten(), nn.Linear(32 * cells, size), nn.ReLU())
+            self.pictures[name] = nn.Sequential(*convolutions, *last)
+
+    def forward(self, observations: dict[str, torch.Tensor]) -> torch.Tensor:
+        """Return features (B, F) of a dict of vectors (B, D) and pictures (B, ...)."""
+        return self.encode(self.prepare(observations))
+
+    def prepare(self, observations: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
+        """Scale vectors, and scale and reduce pictures; uses no weights.
+
+        Args:
+            observations: Vectors (B, D) and pictures (B, ...) by name.
+
+        Returns:
+            Vectors (B, D) and pictures (B, channels, height, width) by name.
+        """
+        scaled = {name: observations[name] for name in self._vectors}
+        scaled = {
+            name: torch.sign(one) * torch.log1p(self._scale * one.abs())
+            for name, one in scaled.items()
+        }
+        return scaled | {name: self._reduce(name, observations[name]) for name in self._boxes}
+
+    def encode(self, prepared: dict[str, torch.Tensor]) -> torch.Tensor:
+        """Return features (B, F) of the result of `prepare`."""
+        parts = [prepared[name] for name in self._vectors]
+        parts += [layers(prepared[name]) for name, layers in self.pictures.items()]
+        return torch.cat(parts, 1)
+
+    def _channels(self, name: str, picture: torch.Tensor) -> torch.Tensor:
+        """Return a picture (B, ...) as (B, channels, height, width)."""
+        box = self._boxes[name]
+        if len(box.shape) == 2:
+            return picture[:, None]
+        if box.shape[-1] == 3 and not is_image_space(box):
+            picture = picture.movedim(-1, -3)
+        return picture.flatten(1, -3)
+
+    def _reduce(self, name: str, picture: torch.Tensor) -> torch.Tensor:
+        """Return a picture as (B, channels, height, width) of the order of 1, reduced in size."""
+        box, factor = self._boxes[name], self._factors[name]
+        picture = self._channels(name, picture)
+        high = float(box.high.max())
+        if box.dtype == np.float32 and high > 1:
+            return nn.functional.max_pool2d(1 / (1 + picture / self._depth_scale), factor)
+        # Stable-baselines3 divides what it regards as images itself
+        scale = 1 if box.dtype == np.float32 or is_image_space(box) else high
+        return nn.functional.avg_pool2d(picture / scale, factor)
 
 
 class UserSum(BaseFeaturesExtractor):

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from gymnasium.spaces import Box, Dict, Space
 
-from bulletuav.adapters.features import SymlogFeatures, UserSum
+from bulletuav.adapters.features import PictureFeatures, SymlogFeatures, UserSum
 from bulletuav.adapters.sb3 import algorithm, preserve_random_state, single_thread
 from bulletuav.adapters.swarm_features import SwarmFeatures
 from bulletuav.errors import missing_extra, unknown
@@ -39,7 +39,8 @@ def policy_arguments(
         model: Settings of the algorithm of a run, with `features` and `policy_kwargs`.
         num_drones: Number of drones of a world.
         labels: Labels of the numbers of an observation.
-        pictures: If True, observations have images, which have their own feature extractor.
+        pictures: If True, observations are dicts with images: features "symlog" are then
+            `PictureFeatures`, and None those of stable-baselines3.
 
     Returns:
         The keyword arguments.
@@ -53,14 +54,19 @@ def policy_arguments(
     given = model.get("policy_kwargs", {})
     if not isinstance(given, Mapping):
         raise ValueError(f"policy_kwargs is {given!r}: names with values are needed")
+    if pictures and features not in ("symlog", None):
+        raise ValueError(
+            f"features is {features!r}: observations with images need 'symlog' or None"
+        )
     arguments = dict(given)
-    if features is not None and not pictures:
-        arguments.setdefault("features_extractor_class", FEATURES[features])
+    if features is not None:
+        kind = PictureFeatures if pictures else FEATURES[features]
+        arguments.setdefault("features_extractor_class", kind)
     # "user_sum" depends on the number of drones, "swarm" on the layout of the observation
     extra: dict[str, Any] = {}
     if features == "user_sum":
         extra = {"num_drones": num_drones}
-    elif features == "swarm" and not pictures:
+    elif features == "swarm":
         extra = {"layout": find_layout(labels)}
     if extra:
         arguments["features_extractor_kwargs"] = {

@@ -28,7 +28,7 @@ from bulletuav.envs.snapshot import (
 from bulletuav.envs.step import Step
 from bulletuav.envs.viewer import VIEWERS, Viewer, make_viewer
 from bulletuav.envs.worlds import Worlds
-from bulletuav.errors import as_int, points_of
+from bulletuav.errors import as_bool, as_int, points_of
 from bulletuav.geometry.city_grid import NO_LAYOUT
 from bulletuav.geometry.solids import Solids
 from bulletuav.sensors.base import Label
@@ -77,7 +77,13 @@ class Aviary(Environment):
     _parts: Mapping[str, str] | None = None
 
     def __init__(
-        self, task: TaskSource, num_worlds: int = 1, *, first_world: int = 0, **options: Any
+        self,
+        task: TaskSource,
+        num_worlds: int = 1,
+        *,
+        first_world: int = 0,
+        copy: bool = True,
+        **options: Any,
     ) -> None:
         """Create the worlds.
 
@@ -86,6 +92,8 @@ class Aviary(Environment):
             num_worlds: Number of worlds W.
             first_world: Index of the first of these worlds among those of several processes. World
                 k then equals world k of a single process.
+            copy: If False, observations are not copied: they are arrays that the next decision or
+                reset overwrites.
             **options: See `EnvOptions` and the task's config.
 
         Raises:
@@ -93,6 +101,7 @@ class Aviary(Environment):
         """
         self._spec = spec = EnvSpec(task, num_worlds, options)
         first_world = as_int("first_world", first_world, 0, MAX_WORLDS)
+        self._copies = as_bool("copy", copy)
         self.worlds = worlds = Worlds(spec, first_world)
         seed = spec.options.seed
         self.simulation = Simulation(worlds, None if seed is None else seed + first_world)
@@ -166,7 +175,7 @@ class Aviary(Environment):
             self.viewer.begin()
         if simulation.program is None:
             self.worlds.state.present[:] = False  # then all worlds are observed first
-            return self.observer.observe(self.worlds.frame, self.alive)
+            return self.observer.observe(self.worlds.frame, self.alive, self._copies)
         simulation.observe_start()
         return self.observations()
 
@@ -243,11 +252,11 @@ class Aviary(Environment):
         return totals
 
     def observations(self) -> Observation:
-        """Return a copy of the observations of the last decision."""
-        vector = self.worlds.vector.copy()
-        return (
-            vector if self.observer.is_plain else self.observer.assemble(self.worlds.frame, vector)
-        )
+        """Return the observations of the last decision; a copy by default."""
+        vector = self.worlds.vector.copy() if self._copies else self.worlds.vector
+        if self.observer.is_plain:
+            return vector
+        return self.observer.assemble(self.worlds.frame, vector, self._copies)
 
     def info_table(self, world: Any = ...) -> InfoTable:
         """Copy the results of the last decision; calling the returned object makes infos.

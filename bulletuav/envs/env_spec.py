@@ -33,6 +33,7 @@ from bulletuav.tasks.config import TaskConfig
 from bulletuav.tasks.frame import TaskContext
 from bulletuav.tasks.given import PLACES
 from bulletuav.tasks.ingredients import find_term
+from bulletuav.tasks.observations.images import ARRAY
 from bulletuav.tasks.observations.observer import (
     STATE,
     ObservationBuilder,
@@ -104,8 +105,14 @@ class EnvSpec:
         parts = (self.task, self.action, binding, self.sensors, self.setup)
         form: Any = self.options.observation_format
         self.observer = ObservationBuilder(
-            sources, *parts, normalise=self.options.normalise, form=form
+            sources,
+            *parts,
+            normalise=self.options.normalise,
+            form=form,
+            num_frames=self.options.frame_stack,
+            camera_format=self.options.camera_format,
         )
+        self._check_pictures()
         drones = ObservationBuilder(STATE, *parts)
         self.state = GlobalState(self.task, drones, self.options)
         self._require_memory(self._world_bytes())
@@ -132,6 +139,21 @@ class EnvSpec:
         for one in sources:
             if not isinstance(one, str) and not callable(one) and not hasattr(one, "labels"):
                 raise ValueError(f"observation: {unknown('observation block', one, known)}")
+
+    def _check_pictures(self) -> None:
+        """Raise ValueError for options of pictures without a picture."""
+        if self.observer.images:
+            return
+        if self.options.frame_stack > 1:
+            raise ValueError(
+                f"frame_stack is {self.options.frame_stack}, and no picture is observed: add one, "
+                f"such as 'depth', or stack vectors by gymnasium.wrappers.FrameStackObservation"
+            )
+        if self.options.camera_format != ARRAY:
+            raise ValueError(
+                f"camera_format is {self.options.camera_format!r}, and no picture is observed: add "
+                f"one, such as 'depth', or leave it out"
+            )
 
     def _wanted(self, sources: tuple[Any, ...]) -> frozenset[str]:
         """List the readings that observations, the task and reward terms need."""
@@ -194,7 +216,8 @@ class EnvSpec:
         stored = cameras * (1 + late) if images else 0
         pictures = stored * math.prod(self.options.camera_size)
         others = drones if {"neighbours", "all_neighbours"} & self._names else 0
-        observed = 2 * self.observer.low.size + 2 * pictures + 3 * others + 2 * task.num_targets
+        pictures *= 1 + self.options.frame_stack
+        observed = 2 * self.observer.low.size + pictures + 3 * others + 2 * task.num_targets
         things = OBSTACLE_BYTES * len(task.obstacles()) + LAYOUT_BYTES * len(task.layouts())
         return (BODY_BYTES + NUMBER_BYTES * observed) * drones + self.state_bytes() + things
 

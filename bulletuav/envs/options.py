@@ -13,12 +13,13 @@ from bulletuav.engine.engine import RAY_METHODS
 from bulletuav.envs.randomization import CERTAIN, Randomization
 from bulletuav.envs.rates import MAX_HZ, decision_rate, picture_rate
 from bulletuav.envs.viewer import DEFAULT_ADDRESS, VIEWERS, parse_address
-from bulletuav.errors import as_int, as_sequence, find_choice, finite, shown, unknown
+from bulletuav.errors import as_bool, as_int, as_sequence, find_choice, finite, shown, unknown
 from bulletuav.geometry.obstacle import MAX_FRICTION
 from bulletuav.geometry.view import FAR
 from bulletuav.sensors.camera import DEPTHS, RENDERERS
 from bulletuav.sensors.lidar import FRAMES
 from bulletuav.sensors.mounts import as_mounts
+from bulletuav.tasks.observations.images import ARRAY, CAMERA_FORMATS, MAX_FRAMES
 from bulletuav.vehicle.airframe import STANDARD_GRAVITY, Airframe
 from bulletuav.vehicle.parameters import DEFAULT_EFFECTS, EFFECTS
 from bulletuav.vehicle.wind import (
@@ -52,6 +53,7 @@ MAX_COUNTS = {
     "horizon": 10**9,
     "physics_hz": MAX_HZ,
     "num_beams": MAX_BEAMS,
+    "frame_stack": MAX_FRAMES,
 }
 """Maximum of each option that is a whole number above 0"""
 NAME_LISTS = ("observation", "sensors", "effects")
@@ -123,6 +125,13 @@ class EnvOptions:
             `bulletuav.sensors.mounts.Mount`, such as {"pitch": -90}; or several dicts for several
             cameras, whose pictures are stacked: (cameras, height, width). None for a camera that
             looks forward.
+        camera_format: "array" for pictures of their own types and shapes, or "image" for (height,
+            width, channels) uint8, as convolutional networks take them: bounds of pixels, such as
+            0 and the largest depth, become 0 and 255. A picture that is observed alone is then an
+            array instead of a dict.
+        frame_stack: Number of frames of an observed picture: those of the last decisions, the
+            oldest first; at a reset all are the first one. In the format "array" they are a new
+            first axis, in the format "image" channels. 1 for no stack.
         gravity: Gravitational acceleration, m/s^2; 0 for none.
         num_beams: Beams of the range finder (observation "lidar") at each elevation, evenly spaced
             in azimuth.
@@ -179,6 +188,8 @@ class EnvOptions:
     camera_range: tuple[float, float] = (0.0, FAR)
     camera_depth: str = "metres"
     camera_mounts: Mapping[str, Any] | Sequence[Mapping[str, Any]] | None = None
+    camera_format: str = ARRAY
+    frame_stack: int = 1
     gravity: float = STANDARD_GRAVITY
     num_beams: int = 16
     max_range: float = 60.0
@@ -217,14 +228,13 @@ class EnvOptions:
         find_choice("contacts", self.contacts, dict.fromkeys(dynamics.contacts))
         choices = {"action": tuple(ACTIONS), "controller": tuple(CONTROLLERS)}
         choices |= {"lidar_frame": FRAMES, "energy": ENERGIES, "observation_format": FORMATS}
-        choices |= {"rays": tuple(RAY_METHODS), "camera": RENDERERS, "camera_depth": DEPTHS}
+        choices |= {"camera_format": CAMERA_FORMATS, "camera_depth": DEPTHS}
+        choices |= {"rays": tuple(RAY_METHODS), "camera": RENDERERS}
         for name, known in choices.items():
             find_choice(name, getattr(self, name), dict.fromkeys(known))
         check_names("effects", "effect", self.effects, EFFECTS)
         for name in ("normalise", "integral", "debug"):
-            value = getattr(self, name)
-            if not isinstance(value, bool):
-                raise ValueError(f"{name} is {shown(value)}: True or False is needed")
+            as_bool(name, getattr(self, name))
         self._check_reward()
         self._check_sensors()
         self._check_cameras()

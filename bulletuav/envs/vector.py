@@ -15,7 +15,7 @@ from bulletuav.envs.snapshot import Snapshot
 from bulletuav.envs.spaces import widest_action_space
 from bulletuav.errors import as_int, find_choice, numbers_of
 from bulletuav.tasks import TaskSource
-from bulletuav.tasks.observations.observer import Observation
+from bulletuav.tasks.observations.observer import Observation, copied
 
 BatchResults = tuple[Observation, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]
 """Observations, rewards, terminated, truncated and infos of a step"""
@@ -70,6 +70,7 @@ class BatchAviary(LabelledEnvironment):
         autoreset_mode: AutoresetMode = AutoresetMode.NEXT_STEP,
         *,
         first_world: int = 0,
+        copy: bool = True,
         **options: Any,
     ) -> None:
         """Create the environment.
@@ -79,6 +80,8 @@ class BatchAviary(LabelledEnvironment):
             num_envs: Number of worlds W.
             autoreset_mode: When finished worlds are reset.
             first_world: Index of the first world among those of several processes.
+            copy: If False, observations are not copied: they are arrays that the next step or reset
+                overwrites, as in Gymnasium's `AsyncVectorEnv`.
             **options: See `parallel_env`.
 
         Raises:
@@ -86,7 +89,8 @@ class BatchAviary(LabelledEnvironment):
         """
         self.autoreset_mode = as_autoreset_mode(autoreset_mode)
         as_int("num_envs", num_envs, 1, MAX_WORLDS)
-        self.aviary = Aviary(task, num_envs, first_world=first_world, **options)
+        self.aviary = Aviary(task, num_envs, first_world=first_world, copy=copy, **options)
+        self._copies = copy
         self._observer = self.aviary.observer
         self.num_envs = self.aviary.num_worlds
         self.num_drones = self.aviary.num_drones
@@ -161,7 +165,8 @@ class BatchAviary(LabelledEnvironment):
         self._ended = ended
         if self._ended.any() and self.autoreset_mode == AutoresetMode.SAME_STEP:
             final = {
-                "final_obs": observations,
+                # The reset overwrites observations that are not copied
+                "final_obs": observations if self._copies else copied(observations),
                 "final_state": self.aviary.state(),
                 "final_info": info,
                 "_final_obs": self.ended,

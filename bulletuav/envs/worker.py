@@ -128,7 +128,10 @@ class BatchShard:
         """Create the worlds; see `run_worker`."""
         self._arrays = shared.views(first, last)
         self._infos = SharedInfos(self._arrays["info"])
-        self._batch = BatchAviary(task, last - first, autoreset_mode, first_world=first, **options)
+        # Observations are copied to the shared arrays only
+        self._batch = BatchAviary(
+            task, last - first, autoreset_mode, first_world=first, copy=False, **options
+        )
 
     def answer(self, method: str, keywords: dict[str, Any]) -> Any:
         """Call a method of `BatchAviary`, and return its result or exception; see `run_worker`."""

@@ -33,10 +33,10 @@ from bulletuav.envs.worker import (
     raise_first,
     run_worker,
 )
-from bulletuav.errors import as_int, find_choice, finite, numbers_of
+from bulletuav.errors import as_bool, as_int, find_choice, finite, numbers_of
 from bulletuav.interrupts import block_interrupts
 from bulletuav.tasks import TaskSource
-from bulletuav.tasks.observations.observer import VECTOR, Observation
+from bulletuav.tasks.observations.observer import VECTOR, Observation, copied
 
 MAX_WORKERS = 256
 TIMEOUT = 600.0
@@ -69,6 +69,7 @@ class WorkerAviary(LabelledEnvironment):
         workers: int,
         start_method: str | None = None,
         timeout: float = TIMEOUT,
+        copy: bool = True,
         **options: Any,
     ) -> None:
         """Start the processes.
@@ -80,6 +81,7 @@ class WorkerAviary(LabelledEnvironment):
             workers: Number of processes, including this one.
             start_method: As in `multiprocessing`; None for Python's default.
             timeout: Seconds after which a process without an answer counts as lost.
+            copy: See `BatchAviary`; False returns views of the memory that the processes share.
             **options: Options of the environment.
 
         Raises:
@@ -103,6 +105,7 @@ class WorkerAviary(LabelledEnvironment):
         if self._spec.options.debug:
             raise ValueError("debug is True: debuggers see one process, so it needs workers=1")
         self._timeout = float(timeout)
+        self._copies = as_bool("copy", copy)
         # Polling for answers occupies a core
         self._poll_time = POLL_TIME if _count_cores() >= workers else 0.0
         self.observation_space: Box | Dict = self._observer.space()
@@ -238,14 +241,16 @@ class WorkerAviary(LabelledEnvironment):
         return answers
 
     def _observations(self) -> Observation:
-        """Return a copy of the observations in the shared arrays."""
+        """Return the observations in the shared arrays; a copy by default."""
         if not isinstance(self.observation_space, Dict):
-            return self._arrays["observation/"].copy()
+            seen = self._arrays["observation/"]
+            return seen.copy() if self._copies else seen
         # Spaces sort their entries; observations have the order of the blocks
         observer = self._spec.observer
         order = (VECTOR, *observer.slices, *observer.images)
         names = filter(self.observation_space.spaces.__contains__, order)
-        return {name: self._arrays[f"observation/{name}"].copy() for name in names}
+        shown = {name: self._arrays[f"observation/{name}"] for name in names}
+        return copied(shown) if self._copies else shown
 
     @property
     def alive(self) -> np.ndarray:

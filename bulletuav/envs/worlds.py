@@ -14,6 +14,7 @@ from bulletuav.sensors.base import Moment
 from bulletuav.tasks.frame import Frame
 from bulletuav.tasks.frame_measures import FrameMeasures, make_frame_measures
 from bulletuav.tasks.ingredients import PRESENT
+from bulletuav.tasks.observations.images import frames_name, push_frames
 from bulletuav.tasks.stages import StepEvaluation
 from bulletuav.vehicle.swarm import Swarm
 
@@ -126,6 +127,17 @@ class Worlds(Parts):
                 self.readings[name] = np.array(value)
             else:
                 held[...] = value
+        if self.observer.num_frames > 1:
+            self._push_frames(mask)
+
+    def _push_frames(self, mask: np.ndarray) -> None:
+        """Append new pictures of the drones of `mask` (W, N) to their last frames."""
+        for name in self.observer.images:
+            picture, key = self.readings[name], frames_name(name)
+            if key not in self.readings:
+                shape = (*mask.shape, self.observer.num_frames, *picture.shape[2:])
+                self.readings[key] = np.zeros(shape, picture.dtype)
+            push_frames(self.readings[key], picture, mask, self.state.steps)
 
     def state_arrays(self) -> dict[str, np.ndarray]:
         """Return the arrays of the state; see `Parts.state_arrays`."""

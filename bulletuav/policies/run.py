@@ -53,6 +53,8 @@ INTERFACE = (
     "camera_range",
     "camera_depth",
     "camera_mounts",
+    "camera_format",
+    "frame_stack",
 )
 """Options that determine observations and actions of a policy; fixed wherever it flies"""
 SCENE = ("num_drones", "airframe", "difficulty", "preset")

@@ -75,6 +75,10 @@ def make_model(config: RunConfig, env: DroneVecEnv) -> Any:
     settings = config.settings
     kind = algorithm(config.algo)
     pictures = isinstance(env.observation_space, Dict)
+    if not pictures and len(env.observation_space.shape or ()) != 1:
+        raise ValueError(
+            "a picture alone is observed as an array: set observation_format='dict' to train on it"
+        )
     features = settings["features"]
     if features is not None:
         named = {name: one for name, one in FEATURES.items() if name is not None}

@@ -1,9 +1,14 @@
 import numpy as np
 import pytest
 import torch
-from gymnasium.spaces import Box
+from gymnasium.spaces import Box, Dict
 
-from bulletuav.adapters.features import SymlogFeatures, UserSum, log_path_gain_tensor
+from bulletuav.adapters.features import (
+    PictureFeatures,
+    SymlogFeatures,
+    UserSum,
+    log_path_gain_tensor,
+)
 from bulletuav.network.pathloss import log_distance
 
 DRONES, USERS = 2, 4
@@ -75,3 +80,50 @@ def test_numbers_that_do_not_fit_are_refused():
         ValueError, match=r"features of 2 drones and their users do not fit \(50,\)"
     ):
         made(50)
+
+
+def pictures(**boxes):
+    torch.manual_seed(0)
+    return PictureFeatures(Dict(boxes), size=5)
+
+
+def test_the_nearest_of_each_patch_of_depths_remains():
+    depth = Box(0, 2000, (32, 64), np.float32)
+    features = pictures(vector=Box(-10, 10, (2,)), depth=depth)
+    metres = torch.full((1, 32, 64), 2000.0)
+    metres[0, 5, 9] = 10.0  # a pole of a pixel
+    vector = torch.tensor([[0.0, np.e - 1]])
+    prepared = features.prepare({"vector": vector, "depth": metres})
+    near = np.full((1, 1, 16, 32), 1 / 201)  # 1 / (1 + 2000 / 10)
+    near[0, 0, 2, 4] = 0.5
+    np.testing.assert_allclose(prepared["depth"], near, rtol=1e-6)
+    np.testing.assert_allclose(prepared["vector"], [[0, 1]], rtol=1e-6)
+    seen = features({"vector": vector, "depth": metres})
+    assert seen.shape == (1, 7) == (1, features.features_dim)
+    assert torch.equal(seen[:, :2], prepared["vector"])
+
+
+def test_normalised_depths_stay_unchanged():
+    features = pictures(depth=Box(0, 1, (8, 8), np.float32))
+    given = torch.rand(3, 8, 8)
+    assert torch.equal(features.prepare({"depth": given})["depth"], given[:, None])
+
+
+def test_colours_are_averaged_and_frames_are_channels():
+    colours = Box(0, 255, (2, 32, 48, 3), np.uint8)
+    features = pictures(rgb=colours, labels=Box(0, 4, (8, 12), np.uint8))
+    given = torch.from_numpy(np.random.default_rng(0).integers(0, 256, (1, 2, 32, 48, 3)))
+    labels = torch.full((1, 8, 12), 3)
+    prepared = features.prepare({"rgb": given, "labels": labels})
+    patches = given[0].numpy().reshape(2, 16, 2, 24, 2, 3).mean(axis=(2, 4)) / 255
+    np.testing.assert_allclose(
+        prepared["rgb"][0], patches.transpose(0, 3, 1, 2).reshape(6, 16, 24), rtol=1e-6
+    )
+    assert (prepared["labels"] == 0.75).all()
+    assert features({"rgb": given, "labels": labels}).shape == (1, 10)
+
+
+def test_images_of_stable_baselines_are_already_divided():
+    features = pictures(rgb=Box(0, 255, (3, 8, 8), np.uint8))
+    given = torch.rand(1, 3, 8, 8)
+    assert torch.equal(features.prepare({"rgb": given})["rgb"], given)

@@ -74,6 +74,21 @@ def test_heading_speed_points_the_nose(context):
     )
 
 
+def test_turn_speed_turns_from_the_last_commanded_heading(context):
+    before = np.arctan2(2.0, 1.0)  # of the commanded velocity (1, 2, -1)
+    left = before + 0.5 * np.pi * 0.1
+    np.testing.assert_allclose(
+        decode("turn_speed", context, (0.5, 0.2, 0.1)),
+        (6 * np.cos(left), 6 * np.sin(left), 1, left),
+        rtol=1e-12,
+    )
+    slowest = decode("turn_speed", context, (0, -1, 0))
+    np.testing.assert_allclose(
+        slowest, (0.01 / np.sqrt(5), 0.02 / np.sqrt(5), 0, before), rtol=1e-12
+    )
+    np.testing.assert_allclose(np.linalg.norm(decode("turn_speed", context, (1, 1, 1))[:3]), 10)
+
+
 def test_attitude_and_rates_scale(context):
     most = context.airframes[0].max_thrust
     np.testing.assert_allclose(

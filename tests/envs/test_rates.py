@@ -90,6 +90,7 @@ def commanded(made, action):
         ("velocity", (1, 0, 1), np.array((10, 0, 4)) * 10 / 116**0.5),
         ("velocity_increment", UP, (0, 0, 1)),
         ("heading_speed", (0.0, -1, -1), (0, 0, -4)),
+        ("turn_speed", (0.0, -1, -1), (0.01, 0, -4)),
         ("discrete", (5,), (0, 0, 4)),
         ("discrete", (1,), (10, 0, 0)),
     ],

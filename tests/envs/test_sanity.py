@@ -40,6 +40,7 @@ def manoeuvre(aviary, action):
         "velocity_increment": lambda: ((1.0, 0, 0), lambda s, p: s.velocity[0] > 0.3),
         "acceleration": lambda: ((0.1, 0, 0), lambda s, p: 0.25 < s.velocity[0] < 0.55),
         "heading_speed": lambda: ((0.5, 2 * MOVE - 1, 0), north),
+        "turn_speed": lambda: ((0, 2 * MOVE - 1, 0), east),
         "target_position": lambda: (
             aviary.action.encode(goal),
             lambda s, p: s.position[0] - p[0] > 0.4,
@@ -99,6 +100,7 @@ def test_every_allowed_combination_flies_its_manoeuvre(airframe, dynamics, contr
         "velocity",
         "velocity_increment",
         "heading_speed",
+        "turn_speed",
         "target_position",
         "discrete",
         "discrete_27",
@@ -188,6 +190,7 @@ ACTION_LEVELS = {
     "velocity_increment": SetpointLevel.VELOCITY,
     "acceleration": SetpointLevel.ACCELERATION,
     "heading_speed": SetpointLevel.VELOCITY,
+    "turn_speed": SetpointLevel.VELOCITY,
     "target_position": SetpointLevel.POSITION,
     "attitude": SetpointLevel.ATTITUDE,
     "rates": SetpointLevel.RATES,

@@ -469,6 +469,8 @@ def test_pictures_can_be_learned_from(tmp_path):
         options={**options, "horizon": 4}, steps=32, model={"n_steps": 8}, evaluations=1
     )
     assert train(learner, tmp_path)[-1]["steps"] == 32
+    with pytest.raises(ValueError, match="observations with images need 'symlog' or None"):
+        train(dataclasses.replace(learner, model={"features": "swarm"}), tmp_path / "swarm")
 
 
 def test_learning_rates_may_fall_and_features_be_left_out():

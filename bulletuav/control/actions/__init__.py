@@ -16,6 +16,7 @@ from bulletuav.control.actions.motion import (
     acceleration,
     heading_speed,
     target_position,
+    turn_speed,
     velocity,
     velocity_increment,
 )
@@ -44,6 +45,7 @@ ACTIONS: Mapping[str, ActionMaker] = MappingProxyType(
             velocity_increment,
             acceleration,
             heading_speed,
+            turn_speed,
             target_position,
             attitude,
             rates,

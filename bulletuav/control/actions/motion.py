@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from bulletuav.compiled.functions import cos, sin
+from bulletuav.compiled.functions import atan2, cos, sin
 from bulletuav.compiled.kernel import kernel
 from bulletuav.control.actions.base import (
     Action,
@@ -19,6 +19,10 @@ from bulletuav.registry import register
 
 UP, YAW = 2, 3
 """Columns of a setpoint"""
+MAX_TURN_RATE = np.pi
+"""Maximum turn rate of action `turn_speed`, rad/s"""
+MIN_SPEED = 0.01
+"""Minimum horizontal speed of action `turn_speed`, m/s; a heading needs one"""
 
 
 @kernel
@@ -54,6 +58,27 @@ def _decode_increment(
             # The vertical velocity has its own limit
             setpoint[w, i, UP] = min(max(setpoint[w, i, UP], -climb), climb)
             setpoint[w, i, YAW] = 0.0
+
+
+@kernel
+def _decode_turn(
+    action: np.ndarray,
+    commanded: np.ndarray,
+    setpoint: np.ndarray,
+    most: float,
+    climb: float,
+    turn: float,
+) -> None:
+    """Write the velocities and headings of action `turn_speed`."""
+    for w in range(action.shape[0]):
+        for i in range(action.shape[1]):
+            heading = atan2(commanded[w, i, 1], commanded[w, i, 0]) + turn * action[w, i, 0]
+            speed = max(MIN_SPEED, most * (action[w, i, 1] + 1) / 2)
+            setpoint[w, i, 0] = speed * cos(heading)
+            setpoint[w, i, 1] = speed * sin(heading)
+            setpoint[w, i, UP] = climb * action[w, i, 2]
+            limit_drone(setpoint, most, w, i)
+            setpoint[w, i, YAW] = heading
 
 
 @kernel
@@ -184,6 +209,30 @@ def heading_speed(context: ActionContext) -> Action:
         level=SetpointLevel.VELOCITY,
         labels=labels,
         decode=decode,
+    )
+
+
+@register("action")
+def turn_speed(context: ActionContext) -> Action:
+    """Turn the nose, and fly along it at a speed, with a climb: for cameras that look forward.
+
+    The turn is from -1 to 1 for 180 degrees per second to the right and to the left, from the
+    heading of the last commanded velocity. The speed is from -1 to 1 for 0.01 m/s to max_speed. The
+    climb is over max_climb. The speed with climb is limited to max_speed. An episode begins with
+    the heading of the velocity that the drone starts with, east if it is at rest.
+    """
+    speed, climb, turn = context.max_speed, context.max_climb, MAX_TURN_RATE * context.period
+    labels = (
+        f"turn / {np.rad2deg(turn):g} degrees",
+        f"2 speed / {speed:g} m/s - 1",
+        f"climb / {climb:g} m/s",
+    )
+    return normalised(
+        context,
+        name="turn_speed",
+        level=SetpointLevel.VELOCITY,
+        labels=labels,
+        decode=Compiled(_decode_turn, 4, speed, climb, turn),
     )
 
 

@@ -2,7 +2,7 @@
 
 import inspect
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, Literal
+from typing import Any, Literal, cast
 
 import numpy as np
 from gymnasium.spaces import Box, Dict, Space
@@ -17,6 +17,13 @@ from bulletuav.sensors.suite import provider, reading_labels
 from bulletuav.tasks.frame import Frame
 from bulletuav.tasks.ingredients import ALL, PRESENT, Binding, Bound
 from bulletuav.tasks.observations.base import Block
+from bulletuav.tasks.observations.images import (
+    ARRAY,
+    IMAGE,
+    frames_name,
+    image_space,
+    to_images,
+)
 from bulletuav.tasks.stages import StableArrays, clear
 
 STATE = ("position", "attitude", "velocity", "rates", "goal_position", "alive")
@@ -56,13 +63,16 @@ class ObservationBuilder:
 
     Vectors are float32, clipped to their bounds, and scaled from the bounds to [-1, 1] if
     `normalise`. An observation with images is a dict of "vector" (if there are features) and the
-    images; with the format "dict" it has an entry for each block.
+    images; with the format "dict" it has an entry for each block. A single picture in the format
+    "image", without features, is an array.
 
     Attributes:
         labels: Name, unit and bounds before scaling of each feature of the vector.
         slices: Slice of the vector of each block, by name.
         images: Images, by name.
+        num_frames: Number of frames of each image.
         is_plain: Whether observations are vectors, without a dict.
+        is_picture: Whether observations are a single image, without a dict.
         low: (D,) lower bounds after scaling.
         high: (D,) upper bounds after scaling.
     """
@@ -78,6 +88,8 @@ class ObservationBuilder:
         *,
         normalise: bool = False,
         form: Format = "vector",
+        num_frames: int = 1,
+        camera_format: str = ARRAY,
     ) -> None:
         """Create the blocks.
 
@@ -90,6 +102,8 @@ class ObservationBuilder:
             setup: Setup of the sensors.
             normalise: Whether features are scaled to [-1, 1]; one with equal bounds is 0.
             form: "vector", or "dict" with an entry for each block.
+            num_frames: Number of frames of each image.
+            camera_format: Format of images, see `bulletuav.tasks.observations.images`.
 
         Raises:
             ValueError: If a block does not exist or is invalid.
@@ -99,6 +113,7 @@ class ObservationBuilder:
         self.images: dict[str, Image] = {}
         self._writers: list[tuple[slice, Bound | _BlockWriter]] = []
         self._size, self._form = setup.camera_size, form
+        self.num_frames, self._camera_format = num_frames, camera_format
         for source in sources:
             made = _make(source, task, action, binding, sensors, setup)
             if isinstance(made, Image):
@@ -111,6 +126,8 @@ class ObservationBuilder:
             self._writers.append((part, writer))
         # Single precision, as the vector
         self.is_plain = not self.images and form == VECTOR
+        is_alone = len(self.images) == 1 and not self.labels and form == VECTOR
+        self.is_picture = is_alone and camera_format == IMAGE
         self._low = np.array([label.low for label in self.labels], dtype=np.float32)
         self._high = np.array([label.high for label in self.labels], dtype=np.float32)
         middle, half = (self._low + self._high) / 2, (self._high - self._low) / 2
@@ -132,18 +149,20 @@ class ObservationBuilder:
         else:
             for name, part in self.slices.items():
                 spaces[name] = Box(self.low[part], self.high[part], dtype=np.float32)
-        width, height = self._size
         for name, image in self.images.items():
-            shape = (*image.stack, height, width, *image.pixel)
-            spaces[name] = Box(image.low, image.high, shape, image.dtype)
+            spaces[name] = image_space(image, self._size, self.num_frames, self._camera_format)
+        if self.is_picture:
+            (only,) = spaces.values()
+            return cast(Box, only)
         return Dict(spaces)
 
-    def observe(self, frame: Frame, present: np.ndarray) -> Observation:
+    def observe(self, frame: Frame, present: np.ndarray, copy: bool = True) -> Observation:
         """Compute the observations of all drones.
 
         Args:
             frame: The decision, or the first frame after a reset.
             present: (W, N) bool, drones active after the decision.
+            copy: See `assemble`.
 
         Returns:
             (W, N, D) float32, or a dict of arrays (W, N, ...).
@@ -153,7 +172,7 @@ class ObservationBuilder:
         for part, writer in self._writers:
             writer.fill(frame, vector[..., part])
         _bound(vector, *self._bounds)
-        return self.assemble(frame, vector)
+        return self.assemble(frame, vector, copy)
 
     def reads_any(self, names: Iterable[str]) -> bool:
         """Check whether any block function has an argument with one of these names.
@@ -187,14 +206,31 @@ class ObservationBuilder:
                 writer.add_to(program, frame, out)
         program.call(_bound, vector, *self._bounds)
 
-    def assemble(self, frame: Frame, vector: np.ndarray) -> Observation:
-        """Return observations from the vectors (W, N, D) and the images of a frame."""
+    def assemble(self, frame: Frame, vector: np.ndarray, copy: bool = True) -> Observation:
+        """Return observations from the vectors and the images of a frame.
+
+        Args:
+            frame: The decision, or the first frame after a reset.
+            vector: (W, N, D) float32, which is not copied.
+            copy: If False, images in the format "array" are those of the frame, which the next
+                decision or reset overwrites.
+        """
         if self.is_plain:
             return vector
+        if self.is_picture:
+            (name,) = self.images
+            return self._image(frame, name, copy)
         seen: dict[str, np.ndarray] = {}
         if self.labels:
             seen = {VECTOR: vector} if self._form == VECTOR else self.split(vector)
-        return seen | {name: frame.readings[name].copy() for name in self.images}
+        return seen | {name: self._image(frame, name, copy) for name in self.images}
+
+    def _image(self, frame: Frame, name: str, copy: bool) -> np.ndarray:
+        """Return the pictures (W, N, ...) of a name."""
+        pictures = frame.readings[name if self.num_frames == 1 else frames_name(name)]
+        if self._camera_format == IMAGE:
+            return to_images(pictures, self.images[name])
+        return pictures.copy() if copy else pictures
 
     def split(self, observation: Any) -> dict[str, Any]:
         """Split observations by block.
@@ -212,6 +248,8 @@ class ObservationBuilder:
         if isinstance(observation, Mapping):
             images = {name: value for name, value in observation.items() if name != VECTOR}
             return (self.split(observation[VECTOR]) if VECTOR in observation else {}) | images
+        if self.is_picture:
+            return dict.fromkeys(self.images, observation)
         vector = np.asarray(observation)
         if vector.ndim == 0 or vector.shape[-1] != len(self.labels):
             raise ValueError(
@@ -363,6 +401,13 @@ def requested_readings(function: Any, sensors: Mapping[str, Sensor]) -> set[str]
         return set()
     asked = {one.removeprefix(ALL) for one in inspect.signature(function).parameters}
     return {one for one in asked if provider(sensors, one) is not None}
+
+
+def copied(observations: Observation) -> Observation:
+    """Return a copy of observations."""
+    if isinstance(observations, dict):
+        return {name: array.copy() for name, array in observations.items()}
+    return observations.copy()
 
 
 def part(observations: Observation, index: Any) -> Any:
