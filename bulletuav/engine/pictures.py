@@ -41,13 +41,18 @@ AMBIENT = 0.7
 class PictureMaker:
     """Draws pictures of the worlds of an engine; see `Engine.pictures`."""
 
-    def __init__(self, scenery: Scenery, layouts: Sequence[Solids]) -> None:
+    def __init__(
+        self, scenery: Scenery, layouts: Sequence[Solids], colour: np.ndarray | None = None
+    ) -> None:
         """Group the pieces of the layouts by blocks.
 
         Args:
             scenery: Shapes of the worlds.
             layouts: The city layouts.
+            colour: (N + R, 3) colours of the drones and the pieces of bodies, fully lit, from 0 to
+                255; None for those of their labels.
         """
+        self._own_colour = colour
         grid = scenery.city_grid
         counts = [len(solids.bounds) for solids in layouts]
         self._blocks = make_view_blocks(grid.low, grid.high, counts)
@@ -68,6 +73,9 @@ class PictureMaker:
         shade = HUE_STEP * (shape % HUE_STEPS - HUE_STEPS // 2)
         is_varied = np.isin(self._faces.labels[2:], (BUILDING, OBSTACLE))
         colour[2:] += np.where(is_varied, shade, 0.0)[:, None]
+        if self._own_colour is not None:
+            of_shape = self._own_colour[shape[shape < scenery.first_piece]]
+            colour[2 : 2 + len(of_shape)] = of_shape
         self._colour = np.clip(colour * light[:, None], 0, 255).astype(np.uint8)
 
     def draw(

@@ -13,7 +13,14 @@ from bulletuav.engine.engine import Engine
 from bulletuav.geometry.raster import Cameras, Images
 from bulletuav.geometry.raycast import Poses
 from bulletuav.geometry.rotation import axes, plus, quat4, vec3
-from bulletuav.geometry.view import DRONE, FAR, SKY, projection_matrix, view_matrix
+from bulletuav.geometry.view import (
+    DRONE,
+    FAR,
+    SKY,
+    CameraMatrices,
+    projection_matrix,
+    view_matrix,
+)
 from bulletuav.registry import register
 from bulletuav.sensors.base import Image, Label, Moment, Sensor, SensorSetup, Uncertain
 from bulletuav.vehicle.swarm import Swarm
@@ -157,8 +164,9 @@ class Camera(Sensor):
             projection = projection_matrix(aspect, self.fov[w, i])
             forward, _, up = (np.array(axis) for axis in axes(swarm.quaternion[w, i]))
             eye = swarm.position[w, i] + self._radius[i] * forward
-            seen = self.engine.picture(
-                w, view_matrix(eye, eye + forward, up.tolist()), projection, self.setup.camera_size
+            view = view_matrix(eye, eye + forward, up.tolist())
+            seen = self.engine.picture_by_bullet(
+                w, CameraMatrices(view, projection, self.setup.camera_size)
             )
             for name, picture in zip(RENDERED, (seen.pixels, seen.depth, seen.labels), strict=True):
                 if name in self._images:
