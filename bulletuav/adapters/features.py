@@ -137,11 +137,11 @@ class PictureFeatures(BaseFeaturesExtractor):
         """Return a picture as (B, channels, height, width) of the order of 1, reduced in size."""
         box, factor = self._boxes[name], self._factors[name]
         picture = self._channels(name, picture)
-        high = float(box.high.max())
-        if box.dtype == np.float32 and high > 1:
+        low, high = float(box.low.min()), float(box.high.max())
+        if box.dtype == np.float32 and low >= 0 and high > 1:
             return nn.functional.max_pool2d(1 / (1 + picture / self._depth_scale), factor)
         # Stable-baselines3 divides what it regards as images itself
-        scale = 1 if box.dtype == np.float32 or is_image_space(box) else high
+        scale = 1 if is_image_space(box) else high
         return nn.functional.avg_pool2d(picture / scale, factor)
 
 

@@ -1,8 +1,7 @@
 """Child process that renders images for AirSim's clients, next to the server process.
 
-PyBullet holds the interpreter lock (GIL) in each of its calls, so that rendering in a thread would
-stop the simulation. The server starts this process at the first image request, and sends it pickled
-jobs.
+Rendering in a thread would hold the interpreter lock (GIL) and stop the simulation. The server
+starts this process at the first image request, and sends it pickled jobs.
 """
 
 import os
@@ -15,7 +14,8 @@ from typing import Any, BinaryIO
 
 from bulletuav.bridges.airsim_images import Exposure, make_response
 from bulletuav.city.coacd_child import end_with_parent
-from bulletuav.engine.scene_copy import SceneCopy, ScenePoses
+from bulletuav.engine.body_table import Contents
+from bulletuav.engine.visual_scene import ScenePoses, VisualScene
 
 LENGTH_PREFIX = struct.Struct(">Q")
 """Prefix of each response: its number of bytes"""
@@ -61,20 +61,15 @@ class DrawingProcess:
         assert self._process.stdin is not None
         self._jobs = Connection(os.dup(self._process.stdin.fileno()), readable=False)
         self._process.stdin.close()
-        self._num_added = 0
 
     @property
     def pid(self) -> int:
         """Process ID."""
         return self._process.pid
 
-    def prepare(self, setup: tuple[Any, ...]) -> None:
-        """Send the contents of the world, and wait until the process has copied them.
-
-        Args:
-            setup: Arguments of `SceneCopy`.
-        """
-        self._request(setup, START_TIMEOUT)
+    def prepare(self, contents: Contents) -> None:
+        """Send the contents of the world, and wait until the process is ready to draw them."""
+        self._request((contents,), START_TIMEOUT)
 
     def draw(self, poses: ScenePoses, exposure: Exposure, is_list: bool) -> bytes:
         """Render an image.
@@ -87,9 +82,7 @@ class DrawingProcess:
         Returns:
             The response, packed by msgpack.
         """
-        new = poses._replace(added=poses.added[self._num_added :])
-        self._num_added = len(poses.added)
-        return self._request((new, exposure, is_list), PICTURE_TIMEOUT)
+        return self._request((poses, exposure, is_list), PICTURE_TIMEOUT)
 
     def _request(self, job: tuple[Any, ...], timeout: float) -> bytes:
         """Send a job and wait for its response; kill the process if it takes too long.
@@ -163,11 +156,11 @@ def main() -> None:
     end_with_parent()
     try:
         jobs = Connection(os.dup(0), writable=False)
-        copy = SceneCopy(*jobs.recv())
+        scene = VisualScene(*jobs.recv())
         _write_response(answers, b"")
         while True:
             poses, exposure, is_list = jobs.recv()
-            result = make_response(exposure, copy.picture(0, poses, exposure.view.shot))
+            result = make_response(exposure, scene.picture(0, poses, exposure.view.shot))
             _write_response(
                 answers, msgpack.packb(result if is_list else result["image_data_uint8"])
             )

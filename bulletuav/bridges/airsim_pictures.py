@@ -11,8 +11,7 @@ from bulletuav.bridges.airsim_drawing import DrawingProcess
 from bulletuav.bridges.airsim_images import Exposure, ImageRequest, make_exposures
 from bulletuav.bridges.airsim_world import AirsimWorld
 from bulletuav.bridges.sockets import LOG_NAME
-from bulletuav.engine.calls import require_bullet
-from bulletuav.engine.scene_copy import ScenePoses
+from bulletuav.engine.visual_scene import ScenePoses
 
 LOG = logging.getLogger(LOG_NAME)
 MAX_RESTARTS = 1
@@ -105,15 +104,10 @@ class PictureQueue:
     def _start(self) -> None:
         """Start the process, and wait until it can render; runs in the thread."""
         try:
-            require_bullet("AirSim's images")
-        except ImportError as error:
-            self._stop_reason = str(error)
-            raise DrawingError(self._stop_reason) from None
-        try:
             with self._closing:
                 self._require_open()
                 self._process = DrawingProcess()
-            self._process.prepare(self._world.airspace.scene_setup)
+            self._process.prepare(self._world.airspace.scene_contents)
         except (OSError, EOFError) as error:
             raise self._handle_exit(error) from error
 

@@ -4,7 +4,7 @@ import numpy as np
 
 from bulletuav.engine.engine import Engine
 from bulletuav.geometry.solids import Solids
-from bulletuav.geometry.view import FAR, SKY, SKY_COLOUR, projection_matrix, view_matrix
+from bulletuav.geometry.view import FAR, CameraMatrices, projection_matrix, view_matrix
 from bulletuav.vehicle.airframes import load_airframe
 
 FIELD_OF_VIEW = 40.0
@@ -34,8 +34,8 @@ def render(solids: Solids, side: float, size: tuple[int, int] = (1200, 800)) -> 
     eye = 1.5 * side * DIRECTION
     target = np.array([0.0, 0.0, -0.02 * side])
     view = view_matrix(eye, target)
-    projection = projection_matrix(size[0] / size[1], FIELD_OF_VIEW, max(FAR, 4 * side))
-    picture = engine.picture(0, view, projection, size)
+    projection = projection_matrix(size[0] / size[1], FIELD_OF_VIEW)
+    shot = CameraMatrices(view, projection, size)
+    pixels = engine.picture(0, shot, far=max(FAR, 4 * side)).pixels
     engine.close()
-    picture.pixels[picture.labels == SKY] = SKY_COLOUR
-    return picture.pixels
+    return pixels

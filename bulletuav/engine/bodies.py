@@ -17,8 +17,6 @@ FLOOR = 0.02
 """Thickness of the visual ground, m"""
 FLOOR_HALF_EDGE = 20_000.0
 """Half the edge length of the visual ground, m"""
-OFFSTAGE = (0.0, 0.0, -4096.0)
-"""Position of visual bodies that are not shown yet, m"""
 FLOOR_COLOUR = (0.86, 0.88, 0.85, 1)
 CITY_COLOUR = (0.72, 0.70, 0.67, 1)
 SIDES = 48
@@ -112,13 +110,6 @@ def make_solids(client: int, shape: Shape, colour: Colour, poses: Iterable[Pose]
     collision = _collision_shape(client, shape)
     visual = _visual_shape(client, shape, colour)
     return [_make_still(client, collision, SURFACE_GROUP, visual, *pose) for pose in poses]
-
-
-def make_ghost(client: int, shape: Shape, colour: Colour) -> Body:
-    """Create a visual body without a collision shape, far below the ground."""
-    visual = _visual_shape(client, shape, colour)
-    body: Body = bullet.createMultiBody(0, -1, visual, OFFSTAGE, physicsClientId=client)
-    return body
 
 
 def _collision_shape(client: int, shape: Shape) -> ShapeNumber:

@@ -11,7 +11,6 @@ from bulletuav.engine.bodies import (
     Colour,
     Pose,
     make_floor,
-    make_ghost,
     make_ground,
     make_solids,
 )
@@ -26,8 +25,6 @@ from bulletuav.geometry.view import BUILDING, DRONE, LAND, OBSTACLE, SKY
 from bulletuav.vehicle.airframe import Airframe
 from bulletuav.vehicle.swarm import CITY, FIRST_OBSTACLE, GROUND
 
-GHOST_COLOUR = (0.98, 0.62, 0.15, 1.0)
-"""Colour of the collision shapes of drones in pictures"""
 SPREAD, IN_ROW = 4.0, 32
 """Spacing of unplaced obstacles below their world, m, and number of obstacles in a row"""
 
@@ -50,6 +47,22 @@ class Contents(NamedTuple):
     layout: np.ndarray
     offset: np.ndarray
     parking: np.ndarray
+
+
+class AddedPiece(NamedTuple):
+    """A piece of a body that was added to an engine.
+
+    Attributes:
+        shape: Shape of the piece.
+        colour: Red, green, blue and opacity, from 0 to 1.
+        poses: Position (3,) in Bullet's frame, m, and quaternion (4,) of each copy.
+        other: Index of the body in contacts, as `other` in `Contacts`.
+    """
+
+    shape: Shape
+    colour: Colour
+    poses: Sequence[Pose]
+    other: int
 
 
 class BodyTable:
@@ -96,9 +109,7 @@ class BodyTable:
         if at_once:
             self.obstacle  # noqa: B018
             self.layouts.make()
-        self._airframes = tuple(airframes)
         self._added: list[int] = []
-        self._ghosts: list[int] = []
         # Number of unknown bodies at the last warning.
         self._strangers = 0
         # World and index of the drone of each body.
@@ -136,7 +147,7 @@ class BodyTable:
     def warn_of_strangers(self) -> None:
         """Warn about new bodies that were created in the client without `add_body`."""
         of_layouts = len(self.layouts.numbers) + self.layouts.num_facades
-        made_later = self._made_later + of_layouts + len(self._added + self._ghosts)
+        made_later = self._made_later + of_layouts + len(self._added)
         known = self._num_bodies + made_later
         strangers = bullet.getNumBodies(self._client) - known
         if strangers > self._strangers:
@@ -146,19 +157,6 @@ class BodyTable:
                 stacklevel=2,
             )
         self._strangers = strangers
-
-    def ghosts(self) -> list[int]:
-        """Return the bodies that show the drones' collision shapes; the first call creates them.
-
-        Returns:
-            N bodies, one for each drone of a world.
-        """
-        if not self._ghosts:
-            self._ghosts = [
-                make_ghost(self._client, airframe.shape, GHOST_COLOUR)
-                for airframe in self._airframes
-            ]
-        return self._ghosts
 
     def drone_of(self, body: int) -> tuple[int, int] | None:
         """Return world and index of the drone of a body, None for other bodies."""
@@ -196,10 +194,9 @@ class BodyTable:
             is for pixels without a body (-1).
         """
         obstacles = self.obstacle.ravel().tolist()
-        last = max([self._num_bodies - 1, *self._added, *self._ghosts, *obstacles])
+        last = max([self._num_bodies - 1, *self._added, *obstacles])
         label = np.full(last + 3, BUILDING, dtype=np.uint8)
         label[self.drone] = DRONE
-        label[self._ghosts] = DRONE
         label[self.obstacle] = OBSTACLE
         label[self._added] = OBSTACLE
         label[self.floor] = LAND

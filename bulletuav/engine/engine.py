@@ -15,7 +15,7 @@ import numpy as np
 
 from bulletuav.compiled.program import Program
 from bulletuav.engine.body_source import BodySource, check_pose, pieces_of
-from bulletuav.engine.body_table import Contents
+from bulletuav.engine.body_table import AddedPiece, Contents
 from bulletuav.engine.c_extension import (
     NO_SESSION,
     CExtension,
@@ -29,8 +29,8 @@ from bulletuav.engine.drones import require_loadable
 from bulletuav.engine.in_bullet import InBullet, make_in_bullet
 from bulletuav.engine.parking import parking_places
 from bulletuav.engine.queries import EngineQueries
-from bulletuav.engine.scene_copy import AddedPiece, ScenePoses
 from bulletuav.engine.tiles import globalise, localise, tile_offset
+from bulletuav.engine.visual_scene import ScenePoses
 from bulletuav.errors import find_choice, finite
 from bulletuav.geometry.obstacle import MAX_FRICTION, Obstacle
 from bulletuav.geometry.rotation import product, to_world
@@ -165,15 +165,14 @@ class Engine(EngineQueries):
         return self._contents
 
     def scene_poses(self, swarm: Swarm) -> ScenePoses:
-        """Return a copy of the poses of all rendered bodies, with the drones' from a swarm."""
-        count = self.obstacle_radius.size
+        """Return a copy of the poses of all bodies in pictures, with the drones' from a swarm."""
         return ScenePoses(
             swarm.position.copy(),
             swarm.quaternion.copy(),
-            self._scenery.place[:, :count].copy(),
-            self._scenery.quaternion[:, :count].copy(),
+            self._scenery.place.copy(),
+            self._scenery.quaternion.copy(),
             self.city_grid.layout.copy(),
-            tuple(self._added_pieces),
+            tuple((piece.shape, piece.colour) for piece in self._added_pieces),
         )
 
     @property

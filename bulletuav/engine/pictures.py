@@ -64,13 +64,18 @@ class Look(NamedTuple):
 class PictureMaker:
     """Draws pictures of the worlds of an engine; see `Engine.pictures`."""
 
-    def __init__(self, scenery: Scenery, layouts: Sequence[Solids]) -> None:
+    def __init__(
+        self, scenery: Scenery, layouts: Sequence[Solids], colour: np.ndarray | None = None
+    ) -> None:
         """Group the pieces of the layouts by blocks.
 
         Args:
             scenery: Shapes of the worlds.
             layouts: The city layouts.
+            colour: (N + R, 3) colours of the drones and the pieces of bodies, from 0 to 255, which
+                are not shaded; None for the shaded colours of their labels.
         """
+        self._own_colour = colour
         grid = scenery.city_grid
         counts = [len(solids.bounds) for solids in layouts]
         self._blocks = make_view_blocks(grid.low, grid.high, counts)
@@ -133,7 +138,11 @@ class PictureMaker:
         colour = base[labels]
         is_varied = np.isin(labels[2:], (BUILDING, OBSTACLE))
         colour[2:] += np.where(is_varied[:, None], shade, 0.0)
-        colour = np.clip(colour * light[:, None], 0, 255)
+        colour *= light[:, None]
+        if self._own_colour is not None:
+            of_shape = self._own_colour[shape[shape < len(self._own_colour)]]
+            colour[2 : 2 + len(of_shape)] = of_shape
+        colour = np.clip(colour, 0, 255)
         colour[GROUND_FACE] = np.maximum(colour[GROUND_FACE], CHECKER_CONTRAST)
         self._paint.colour[world] = colour.astype(np.uint8)
         self._paint.windows[world] = windows

@@ -7,6 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
+from bulletuav.engine.body_table import Contents
 from bulletuav.engine.calls import (
     BODY_A,
     BODY_B,
@@ -20,6 +21,7 @@ from bulletuav.engine.calls import (
 from bulletuav.engine.in_bullet import InBullet
 from bulletuav.engine.pictures import Look, PictureMaker
 from bulletuav.engine.tiles import cover, vertical_rays, within_tile, write_surface
+from bulletuav.engine.visual_scene import ScenePoses, VisualScene
 from bulletuav.geometry.city_grid import make_city_grid
 from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.geometry.raster import Cameras, Earlier, Images
@@ -27,7 +29,7 @@ from bulletuav.geometry.raycast import cast_drone_rays, cast_scenery_rays
 from bulletuav.geometry.rotation import cross, to_world
 from bulletuav.geometry.scenery import Scenery, make_scenery
 from bulletuav.geometry.solids import Solids
-from bulletuav.geometry.view import Picture
+from bulletuav.geometry.view import FAR, CameraMatrices, Picture
 from bulletuav.vehicle.airframe import Airframe
 from bulletuav.vehicle.swarm import CITY, FIRST_OBSTACLE, GROUND, Contacts, Swarm
 
@@ -75,11 +77,22 @@ class EngineQueries(ABC):
             city_grid=self.city_grid,
         )
         self._layouts = layouts
+        # By whether drones are shown by their collision shapes
+        self._visual_scenes: dict[bool, VisualScene] = {}
 
     @property
     @abstractmethod
     def _bullet(self) -> InBullet:
         """Client, bodies, calls and renderer of the worlds in Bullet."""
+
+    @property
+    @abstractmethod
+    def contents(self) -> Contents:
+        """Drones, obstacles and city layouts of the worlds, without added bodies."""
+
+    @abstractmethod
+    def scene_poses(self, swarm: Swarm) -> ScenePoses:
+        """Return a copy of the poses of all bodies in pictures, with the drones' from a swarm."""
 
     @property
     def scenery(self) -> Scenery:
@@ -248,30 +261,36 @@ class EngineQueries(ABC):
     def picture(
         self,
         world: int,
-        view: np.ndarray,
-        projection: np.ndarray,
-        size: tuple[int, int],
+        shot: CameraMatrices,
         drones: tuple[Swarm, np.ndarray] | None = None,
+        collision: bool = False,
+        far: float = FAR,
     ) -> Picture:
-        """Render a camera image of a world; no screen is needed.
+        """Draw a picture of a world for people, with visual shapes and smooth edges.
+
+        Neither Bullet nor a screen is needed.
 
         Args:
             world: Index of the world.
-            view: (4, 4) matrix from the world's own frame to the camera's; see `view_matrix`.
-            projection: (4, 4) matrix of the camera; see `projection_matrix`.
-            size: Width and height, pixels.
-            drones: A swarm, and a mask (W, N) of its drones, which are drawn by their collision
-                shapes instead of the engine's drones.
+            shot: View, projection and size of the picture.
+            drones: A swarm, and a mask (W, N) of its drones that are shown; None to show none.
+            collision: Whether drones are shown by their collision shapes.
+            far: Depth that the picture reaches at least, m. That of the sky is not less.
 
         Returns:
-            Colours, depths and labels of the pixels.
+            Colours, depth and labels of the pixels.
         """
         if drones is None:
-            return self._bullet.renderer.picture(world, view, projection, size)
+            drones = Swarm.zeros(*self.shape, 1), np.zeros(self.shape, dtype=bool)
         swarm, mask = drones
-        poses = swarm.position[world], swarm.quaternion[world]
-        with self._bullet.renderer.collision_shapes(world, *poses, mask[world]):
-            return self._bullet.renderer.picture(world, view, projection, size)
+        if collision not in self._visual_scenes:
+            self._visual_scenes[collision] = VisualScene(self.contents, collision)
+        scene = self._visual_scenes[collision]
+        return scene.picture(world, self.scene_poses(swarm), shot, mask[world], far)
+
+    def picture_by_bullet(self, world: int, shot: CameraMatrices) -> Picture:
+        """Render a picture of a world by TinyRenderer, with the drones at their poses in Bullet."""
+        return self._bullet.renderer.picture(world, *shot)
 
     def look_at(self, world: int, target: np.ndarray, distance: float) -> None:
         """Point the camera of the live window at a position.

@@ -1,20 +1,14 @@
 """Renderer of camera images of an engine's worlds, and of its live window."""
 
-import contextlib
-from collections.abc import Iterator
-
 import numpy as np
 
-from bulletuav.engine.bodies import FLOOR, OFFSTAGE, Colour
+from bulletuav.engine.bodies import FLOOR
 from bulletuav.engine.body_table import BodyTable
 from bulletuav.engine.calls import bullet
-from bulletuav.engine.city_layouts import LEVEL
 from bulletuav.geometry.view import Picture, linearise_depth
 
 LIGHT = (0.4, -0.7, 1.0)
 """Direction towards the sun, chosen so that walls differ in brightness"""
-RGBA = 7
-"""Column of a row of getVisualShapeData"""
 YAW = 45.0
 """Yaw of the live window's camera, degrees"""
 PITCH = -35.0
@@ -46,7 +40,7 @@ class SceneRenderer:
     def picture(
         self, world: int, view: np.ndarray, projection: np.ndarray, size: tuple[int, int]
     ) -> Picture:
-        """Render a camera image of a world; see `Engine.picture`."""
+        """Render a camera image of a world; see `Engine.picture_by_bullet`."""
         self.show_city(world)
         # The view matrix is in the world's own frame; Bullet takes matrices in column-major order.
         shift = np.eye(4)
@@ -69,47 +63,6 @@ class SceneRenderer:
         label = self._bodies.pixel_labels()
         labels = label[np.minimum(body, len(label) - 2)]
         return Picture(colours, depth.astype(np.float32), labels)
-
-    @contextlib.contextmanager
-    def collision_shapes(
-        self, world: int, position: np.ndarray, quaternion: np.ndarray, mask: np.ndarray
-    ) -> Iterator[None]:
-        """Show the collision shapes of drones instead of the drones, in the `with` block.
-
-        Args:
-            world: Index of the world.
-            position: (N, 3) of its drones, m.
-            quaternion: (N, 4) body to world.
-            mask: (N,) bool, drones to show.
-        """
-        bodies = self._bodies.drone[world].tolist()
-        colours = {body: self._colours(body) for body in bodies}
-        ghosts = self._bodies.ghosts()
-        places = np.where(mask[:, None], position + self._offset[world], OFFSTAGE)
-        for ghost, place, turn in zip(ghosts, places, quaternion, strict=True):
-            bullet.resetBasePositionAndOrientation(ghost, place, turn, self._client)
-        # The renderer skips fully transparent shapes.
-        for body in bodies:
-            self._paint(body, [(*colour[:3], 0.0) for colour in colours[body]])
-        try:
-            yield
-        finally:
-            for body in bodies:
-                self._paint(body, colours[body])
-            for ghost in ghosts:
-                bullet.resetBasePositionAndOrientation(ghost, OFFSTAGE, LEVEL, self._client)
-
-    def _colours(self, body: int) -> list[Colour]:
-        """Return the colours of the visual shapes of a body."""
-        shapes = bullet.getVisualShapeData(body, physicsClientId=self._client)
-        return [shape[RGBA] for shape in shapes]
-
-    def _paint(self, body: int, colours: list[Colour]) -> None:
-        """Set the colours of the visual shapes of a body."""
-        for index, colour in enumerate(colours):
-            bullet.changeVisualShape(
-                body, -1, shapeIndex=index, rgbaColor=colour, physicsClientId=self._client
-            )
 
     def look_at(self, world: int, target: np.ndarray, distance: float) -> None:
         """Point the camera of the live window at a position; see `Engine.look_at`."""

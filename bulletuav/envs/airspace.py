@@ -9,7 +9,7 @@ from bulletuav.compiled.deferred import compile_deferred
 from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.engine.body_source import BodySource, check_pose
 from bulletuav.engine.body_table import Contents
-from bulletuav.engine.scene_copy import ScenePoses
+from bulletuav.engine.visual_scene import ScenePoses
 from bulletuav.envs.airspace_inputs import (
     STILL,
     UPRIGHT,
@@ -466,7 +466,6 @@ class Airspace(Environment):
         """
         self._require_open()
         world, shown = self.world, (self.world.state.swarm, self.world.state.alive)
-        world.show(*shown)
         marks = drone_marks(*shown, 0, world.sensors.sensors.values())
         return world.renderer.picture(0, shown[0], marks, shown[1])
 
@@ -509,8 +508,8 @@ class Airspace(Environment):
             shot: Result of `shot`.
         """
         self._require_open()
-        self.world.show(self.world.state.swarm, self.world.state.alive)
-        return self.world.engine.picture(0, *shot)
+        state = self.world.state
+        return self.world.engine.picture(0, shot, (state.swarm, state.alive))
 
     @exclusive
     def shot(
@@ -553,14 +552,14 @@ class Airspace(Environment):
 
     @exclusive
     def scene_poses(self) -> ScenePoses:
-        """Return a copy of the poses of everything that is rendered; see `SceneCopy`."""
+        """Return a copy of the poses of everything that is drawn; see `VisualScene`."""
         self._require_open()
         return self.world.engine.scene_poses(self.world.state.swarm)
 
     @property
-    def scene_setup(self) -> tuple[Contents, bool]:
-        """Arguments from which a `SceneCopy` of this airspace is made."""
-        return self.world.engine.contents, self.world.engine.asks_bodies
+    def scene_contents(self) -> Contents:
+        """Contents of the world, from which a `VisualScene` of this airspace is made."""
+        return self.world.engine.contents
 
     def __repr__(self) -> str:
         """Return the drones, the dynamics and the simulated time as text."""

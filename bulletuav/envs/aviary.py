@@ -443,16 +443,10 @@ class Aviary(Environment):
             return None
         self._spec.require_world(world)
         flown = self.current_frame().alive
-        self.worlds.show(self.swarm, self.alive)
-        self.worlds.engine.set_poses(
-            self.swarm, flown & ~self.alive
-        )  # drones whose episode just ended are still shown
         seen = marks_of(
             self.task, self.current_frame(), world, self.worlds.sensors.sensors.values()
         )
-        picture = self.worlds.renderer.picture(world, self.swarm, seen, flown, collision, marks)
-        self.worlds.engine.park(flown & ~self.alive)
-        return picture
+        return self.worlds.renderer.picture(world, self.swarm, seen, flown, collision, marks)
 
     @exclusive
     def add_body(

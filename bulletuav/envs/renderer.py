@@ -7,15 +7,7 @@ import numpy as np
 from bulletuav.engine.engine import Engine
 from bulletuav.envs.marks import Colour, Lens, Marks, draw
 from bulletuav.envs.pacer import Pacer
-from bulletuav.geometry.view import (
-    FAR,
-    LAND,
-    SKY,
-    SKY_COLOUR,
-    projection_matrix,
-    rescale_depth,
-    view_matrix,
-)
+from bulletuav.geometry.view import FAR, LAND, CameraMatrices, projection_matrix, view_matrix
 from bulletuav.vehicle.swarm import Swarm
 
 if TYPE_CHECKING:
@@ -81,8 +73,8 @@ class Renderer:
         shown = np.concatenate([marks.drone, marks.goal, marks.target])
         points = shown if len(shown) else swarm.position[world]
         target, distance = fit_camera(points, DIRECTION, self._size)
-        drones = (swarm, alive) if collision else None
-        image, lens, _ = self.shot(world, target, distance * DIRECTION, marks.drone, drones)
+        away = distance * DIRECTION
+        image, lens, _ = self.shot(world, target, away, marks.drone, (swarm, alive), collision)
         if marked:
             draw(marks, lens, ImageDraw.Draw(image))
         return np.asarray(image)
@@ -94,6 +86,7 @@ class Renderer:
         away: np.ndarray,
         flying: np.ndarray,
         drones: tuple[Swarm, np.ndarray] | None = None,
+        collision: bool = False,
     ) -> tuple["Image.Image", Lens, np.ndarray]:
         """Render a picture without marks: bodies, sky, a grid on the ground, lines below drones.
 
@@ -102,7 +95,8 @@ class Renderer:
             target: (3,) point that the camera looks at, m.
             away: (3,) from the target to the camera, m.
             flying: (M, 3) starts of the lines to the ground, m.
-            drones: Drones that are drawn by collision shapes; see `Engine.picture`.
+            drones: Drones that are drawn, or None; see `Engine.picture`.
+            collision: Whether drones are drawn by their collision shapes.
 
         Returns:
             The picture; the projection from the world to the picture; and (height, width) depth
@@ -115,13 +109,13 @@ class Renderer:
         view = view_matrix(target + away, target)
         # Scenes of kilometres need a far plane beyond that of drones' cameras
         far = max(FAR, 2 * distance)
-        projection = projection_matrix(width / height, FIELD_OF_VIEW, far)
+        projection = projection_matrix(width / height, FIELD_OF_VIEW)
         lens = Lens(projection @ view, self._size)
-        pixels, depth, labels = self._engine.picture(world, view, projection, self._size, drones)
-        pixels[labels == SKY] = SKY_COLOUR
+        shot = CameraMatrices(view, projection, self._size)
+        pixels, depth, labels = self._engine.picture(world, shot, drones, collision, far)
         grid = self._grid(target, max(distance, float(target[2])))
         self._draw_ground(pixels, labels == LAND, grid, flying, lens)
-        return Image.fromarray(pixels), lens, rescale_depth(depth, far)
+        return Image.fromarray(pixels), lens, depth
 
     def _draw_ground(
         self,

@@ -67,32 +67,25 @@ def view_matrix(
     return matrix
 
 
-def projection_matrix(aspect: float, field_of_view: float, far: float = FAR) -> np.ndarray:
-    """Compute the perspective projection matrix of a camera with near distance NEAR.
+def projection_matrix(aspect: float, field_of_view: float) -> np.ndarray:
+    """Compute the perspective projection matrix of a camera with depths from NEAR to FAR.
 
     Args:
         aspect: Width of the image divided by its height.
         field_of_view: Vertical field of view, degrees.
-        far: Far clipping distance, m. `linearise_depth` expects FAR.
 
     Returns:
         (4, 4) matrix from the camera to clip space.
     """
     scale = 1 / np.tan(np.radians(field_of_view) / 2)
-    matrix = np.diag([scale / aspect, scale, (far + NEAR) / (NEAR - far), 0.0])
-    matrix[2, 3] = 2 * far * NEAR / (NEAR - far)
+    matrix = np.diag([scale / aspect, scale, (FAR + NEAR) / (NEAR - FAR), 0.0])
+    matrix[2, 3] = 2 * FAR * NEAR / (NEAR - FAR)
     matrix[3, 2] = -1.0
     return matrix
 
 
-def rescale_depth(depth: np.ndarray, far: float) -> np.ndarray:
-    """Correct depths of `linearise_depth` for a projection with another far distance, m."""
-    buffer = (FAR - NEAR * FAR / depth) / (FAR - NEAR)
-    return NEAR * far / (far - (far - NEAR) * buffer)
-
-
 def linearise_depth(buffer: np.ndarray) -> np.ndarray:
-    """Convert a depth buffer in [0, 1] of a projection with far distance FAR to depth, m.
+    """Convert a depth buffer in [0, 1] of `projection_matrix` to depth, m.
 
     Depth is the distance along the view axis.
     """

@@ -9,7 +9,6 @@ from matplotlib.collections import LineCollection
 from matplotlib.patches import Circle
 
 from bulletuav.analysis.recording import Recording
-from bulletuav.engine.calls import HAS_BULLET
 from bulletuav.report.animation import Animation
 from bulletuav.report.figures import (
     BARS,
@@ -52,8 +51,7 @@ def plot_tracks(
 
     Starts are numbered discs, ends are squares, goals are crosses. Targets are drawn in their final
     state. Black crosses mark contact points, red circles the starts of conflicts. If heights
-    differ, or there are obstacles or buildings, a 3-D picture is next to the view from above, if
-    PyBullet is installed.
+    differ, or there are obstacles or buildings, a 3-D picture is next to the view from above.
 
     Args:
         recording: The episode.
@@ -72,8 +70,8 @@ def plot_tracks(
     panels = {name: values for name, values in histories.items() if _has_history(values)}
     columns = -(-len(panels) // MAX_PANEL_ROWS)
     rows = -(-len(panels) // max(1, columns))
-    # The view from above, and a 3-D picture if heights matter and Bullet can render it
-    views = 2 if has_depth(recording) and recording.scene and HAS_BULLET else 1
+    # The view from above, and a 3-D picture if heights matter
+    views = 2 if has_depth(recording) and recording.scene else 1
     figure = blank_figure(1 + 7 * views + 4 * columns, 6.5)
     ratios = [1.7] * views + [1.0] * columns
     grid = figure.add_gridspec(max(1, rows), len(ratios), width_ratios=ratios)

@@ -14,7 +14,14 @@ from bulletuav.engine.pictures import Look
 from bulletuav.geometry.raster import MAX_FLOW, Cameras, Earlier, Images
 from bulletuav.geometry.raycast import Poses
 from bulletuav.geometry.rotation import axes, from_euler, heading, plus, product, quat4, vec3
-from bulletuav.geometry.view import DRONE, FAR, SKY, projection_matrix, view_matrix
+from bulletuav.geometry.view import (
+    DRONE,
+    FAR,
+    SKY,
+    CameraMatrices,
+    projection_matrix,
+    view_matrix,
+)
 from bulletuav.registry import register
 from bulletuav.sensors.base import Image, Moment, Sensor, SensorSetup, Uncertain
 from bulletuav.sensors.mounts import Mount
@@ -289,9 +296,8 @@ class Camera(Sensor):
             w, eye = int(cameras.world[c]), cameras.eye[c]
             forward, _, up = (np.array(axis) for axis in axes(cameras.quaternion[c]))
             projection = projection_matrix(size[0] / size[1], self.fov[w, cameras.drone[c]])
-            seen = self.engine.picture(
-                w, view_matrix(eye, eye + forward, up.tolist()), projection, size
-            )
+            view = view_matrix(eye, eye + forward, up.tolist())
+            seen = self.engine.picture_by_bullet(w, CameraMatrices(view, projection, size))
             for name, picture in zip(RENDERED, (seen.pixels, seen.depth, seen.labels), strict=True):
                 if name in rows:
                     rows[name][slot] = picture

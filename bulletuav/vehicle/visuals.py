@@ -58,9 +58,12 @@ def read_visual_shapes(airframe: Airframe) -> list[VisualShape]:
             parts.append(VisualShape(urdf.shape(visual), *urdf.origin(visual), colour))
         except ValueError:
             continue  # a format that only the engine reads
-    return parts or [
-        VisualShape(airframe.shape, np.zeros(3), np.array(IDENTITY_QUATERNION), DEFAULT_COLOUR)
-    ]
+    return parts or [collision_part(airframe, DEFAULT_COLOUR)]
+
+
+def collision_part(airframe: Airframe, colour: Colour) -> VisualShape:
+    """Return the collision shape of an airframe as a visual shape."""
+    return VisualShape(airframe.shape, np.zeros(3), np.array(IDENTITY_QUATERNION), colour)
 
 
 def _colour(text: str) -> Colour:

@@ -88,10 +88,9 @@ def fly():
 
 @pytest.fixture
 def draw_by(monkeypatch):
-    """Lets AirSim's pictures be drawn by something else than the process, without PyBullet."""
+    """Lets AirSim's pictures be drawn by something else than the process."""
 
     def replace(process):
-        monkeypatch.setattr(airsim_pictures, "require_bullet", lambda what: None)
         monkeypatch.setattr(airsim_pictures, "DrawingProcess", process)
 
     return replace

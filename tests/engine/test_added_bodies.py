@@ -13,7 +13,7 @@ from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.geometry.scenery import NOWHERE
 from bulletuav.geometry.shapes import BOX, CYLINDER, HALF_SPACE, HULL, SPHERE
 from bulletuav.geometry.solids import Solids, box_corners
-from bulletuav.geometry.view import OBSTACLE, projection_matrix, view_matrix
+from bulletuav.geometry.view import OBSTACLE, CameraMatrices, projection_matrix, view_matrix
 from bulletuav.sensors.sight import clearances
 from bulletuav.vehicle.swarm import FIRST_OBSTACLE
 
@@ -178,7 +178,8 @@ def test_it_stays_through_resets_and_is_seen_in_pictures(gate):
     aviary.reset(seeds=0)
     assert not aviary.line_of_sight((0, 0, 4), (9, 0, 4))[0]
     view = view_matrix(np.array((0.0, 0, 4)), np.array((6.0, 0, 4)))
-    picture = aviary.worlds.engine.picture(0, view, projection_matrix(1.0, 60.0), (80, 80))
+    shot = CameraMatrices(view, projection_matrix(1.0, 60.0), (80, 80))
+    picture = aviary.worlds.engine.picture(0, shot)
     ball = picture.labels[40, 40], float(picture.depth[40, 40])
     assert ball == (OBSTACLE, pytest.approx(5.5, abs=0.05))
     aviary.close()
@@ -259,8 +260,8 @@ def test_bodies_that_are_made_at_the_first_picture_look_like_those_made_before()
                 np.array([(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 2)]), (3.0, -1.0, 0)
             )
             assert airspace.world.engine._is_made == early
-            view = {"position": (-1.0, 0.0, 2.0), "target": (3.0, 0.0, 1.0), "size": (64, 48)}
-            pictures.append(airspace.picture(**view))
+            shot = airspace.shot(None, (-1.0, 0, 2), (0, 0, 0, 1), (3.0, 0, 1), (64, 48), 60.0)
+            pictures.append(airspace.world.engine.picture_by_bullet(0, shot))
     assert (pictures[0].labels == OBSTACLE).sum() > 100
     for one, other in zip(*pictures, strict=True):
         np.testing.assert_array_equal(one, other)
