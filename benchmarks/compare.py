@@ -58,6 +58,7 @@ class Comparison(NamedTuple):
 
 
 SUBSTEPS, DECISIONS = "drone-substeps/s", "decisions/s"
+PICTURES = "colours, depths and labels of 8 drones' cameras, 128 x 128, no buildings"
 
 
 def _short(ours: str, drones: int, hz: int, bare: float, everything: float) -> list[Comparison]:
@@ -164,6 +165,10 @@ COMPARISONS = [
         "floor, 64 x 8",
         SUBSTEPS,
         1 / 1.5,
+    ),
+    *(
+        Comparison(PICTURES, "pictures, 8", peer, "pictures, 8", "pictures/s")
+        for peer in ("gym-pybullet-drones", "PyFlyt")
     ),
     Comparison("bullet, all forces, N = 1000", "bullet, 1000", "real time", "", SUBSTEPS, 1),
 ]

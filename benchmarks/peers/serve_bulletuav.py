@@ -16,9 +16,11 @@ from bulletuav.compiled.deferred import compile_deferred
 from bulletuav.engine.calls import VISIBLE
 from bulletuav.engine.engine import Engine
 from bulletuav.envs.gymnasium import CentralAviary
+from bulletuav.geometry.raster import Cameras, Images
 from bulletuav.sensors.lidar import make_beams, make_rays
 from bulletuav.tasks.lidar_navigation import LidarNavigation
 from bulletuav.vehicle.airframes import load_airframe
+from bulletuav.vehicle.swarm import Swarm
 
 CITY = {"num_drones": 3, "num_beams": 16, "max_range": 60.0}
 # A decision in one piece.
@@ -48,6 +50,30 @@ def flight(worlds: int, drones: int, dynamics: str, **options):
     """Take whole steps: controllers, all forces, engine, contacts, observation, reward."""
     aviary = make_hovering_aviary(worlds, drones, dynamics, **options)
     return partial(aviary.step, np.zeros((worlds, drones, 3))), worlds * drones * SUBSTEPS
+
+
+def pictures(drones: int):
+    """Take the pictures of all drones' cameras, with 128 x 128 pixels."""
+    engine = Engine([load_airframe("cf2x")] * drones, 1, 1 / 240)
+    swarm = Swarm.zeros(1, drones, 4)
+    swarm.position[0] = grid(drones)
+    swarm.quaternion[..., 3] = 1.0
+    cameras = Cameras(
+        world=np.zeros(drones, dtype=np.int64),
+        drone=np.arange(drones),
+        eye=swarm.position[0] + [0.1, 0.0, 0.0],
+        quaternion=swarm.quaternion[0],
+        tangent=np.ones(drones),
+        slot=np.arange(drones),
+    )
+    size = (drones, 128, 128)
+    images = Images(
+        depth=np.zeros(size, dtype=np.float32),
+        labels=np.zeros(size, dtype=np.uint8),
+        colours=np.zeros((*size, 3), dtype=np.uint8),
+    )
+    shown = np.ones((1, drones), dtype=bool)
+    return partial(engine.pictures, cameras, images, (swarm, shown)), drones
 
 
 def reset(drones: int):
@@ -319,6 +345,7 @@ if __name__ == "__main__":
                 for hz in (240, 48)
             },
             "reset, 10": partial(reset, 10),
+            "pictures, 8": partial(pictures, 8),
             "floor, 64 x 8": partial(floor, 64, 8),
             **in_cities(),
             **at_the_edge(),

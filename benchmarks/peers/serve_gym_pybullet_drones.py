@@ -44,6 +44,19 @@ def decide(num_drones: int, physics: Physics, decision_hz: int):
     return partial(env.step, np.full((num_drones, 4), env.HOVER_RPM)), 1
 
 
+def pictures(num_drones: int):
+    """Take the pictures of all drones' cameras, with 128 x 128 pixels."""
+    env = aviary(num_drones, Physics.PYB)
+    env.reset(seed=0)
+    env.IMG_RES = np.array([128, 128])
+
+    def take() -> None:
+        for i in range(num_drones):
+            env._getDroneImages(i)
+
+    return take, num_drones
+
+
 def reset(num_drones: int):
     """Reset all drones."""
     env = aviary(num_drones, Physics.PYB)
@@ -65,5 +78,6 @@ if __name__ == "__main__":
             "all forces, 100": partial(flight, 100, Physics.PYB_GND_DRAG_DW),
             "bare, 10": partial(flight, 10, Physics.PYB),
             "reset, 10": partial(reset, 10),
+            "pictures, 8": partial(pictures, 8),
         }
     )

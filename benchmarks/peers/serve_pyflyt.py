@@ -52,6 +52,24 @@ def hover(num_drones: int):
     return step, num_drones * SUBSTEPS
 
 
+def pictures(num_drones: int):
+    """Take the pictures of all drones' cameras, with 128 x 128 pixels."""
+    start = np.array(grid(num_drones))
+    env = Aviary(
+        start_pos=start,
+        start_orn=np.zeros_like(start),
+        drone_type="quadx",
+        drone_options={"use_camera": True, "camera_resolution": (128, 128)},
+        seed=1,
+    )
+
+    def take() -> None:
+        for drone in env.drones:
+            drone.camera.capture_image()
+
+    return take, num_drones
+
+
 def reset(num_drones: int):
     """Reset all drones."""
     start = np.array(grid(num_drones))
@@ -66,5 +84,6 @@ if __name__ == "__main__":
             "quadx, 100": partial(quadx, 100),
             "pettingzoo hover, 10": partial(hover, 10),
             "reset, 10": partial(reset, 10),
+            "pictures, 8": partial(pictures, 8),
         }
     )
