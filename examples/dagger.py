@@ -24,7 +24,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import torch
-from fast_ppo import Agent, Plan, Worlds, save, write_settings
+from fast_ppo import Agent, Plan, Worlds, save, swarm_features, write_settings
 from pillars import Pillars, Teacher
 
 from bulletuav.policies import find_policy
@@ -111,7 +111,8 @@ def learn(lesson: Lesson, args: argparse.Namespace) -> None:
     torch.manual_seed(args.seed)
     plan = Plan(lesson.task, lesson.options, lesson.batches, steps=1, log_std=-2.0)
     school = School(lesson, plan, args.seed)
-    agent = Agent(school.envs[0], plan, state_size=0)
+    size = school.envs[0].action_space.shape[0]
+    agent = Agent(swarm_features(school, plan), size, plan, state_size=0)
     optimiser = torch.optim.Adam(agent.parameters(), args.rate)
     steps = lesson.rounds * lesson.updates
     falls = torch.optim.lr_scheduler.LambdaLR(optimiser, lambda step: 1 - step / steps)

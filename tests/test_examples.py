@@ -1,5 +1,6 @@
 """Every example runs, in its shortest form, and does what it says."""
 
+import importlib
 import re
 import runpy
 import typing
@@ -246,7 +247,7 @@ def check_depth_ppo(told, folder):
 def test_what_a_camera_drone_observes_of_goal_and_bounds(monkeypatch):
     """By hand: a drone at (10, 20, 5) m whose nose points north, in a square of 100 m."""
     monkeypatch.syspath_prepend(FOLDER)
-    egocentric = runpy.run_path(str(FOLDER / "depth_ppo.py"))["egocentric"]
+    egocentric = importlib.import_module("depth_ppo").egocentric
     north = (0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5))
     goal = np.array((10.0 - 30.0, 20.0 + 40.0, 7.0))  # 50 m away, to the left ahead
     bounds = (100.0, 100.0, 15.0, 0.0, 0.0)  # east, north, up, west, south

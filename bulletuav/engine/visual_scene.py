@@ -169,18 +169,36 @@ def _scaled(shape: Shape, scale: float) -> Shape:
     return Shape(shape.kind, (scale * x, scale * y, scale * z), corners)
 
 
+def _quaternion(matrix: np.ndarray) -> np.ndarray:
+    """Return the quaternion (4,) of a rotation matrix (3, 3).
+
+    It is the eigenvector of the largest eigenvalue, which has no singular attitude.
+
+    References:
+        I. Y. Bar-Itzhack, New method for extracting the quaternion from a rotation matrix (2000).
+    """
+    (a, b, c), (d, e, f), (g, h, i) = matrix
+    lower = [
+        [a - e - i, 0.0, 0.0, 0.0],
+        [d + b, e - a - i, 0.0, 0.0],
+        [g + c, h + f, i - a - e, 0.0],
+        [h - f, c - g, d - b, a + e + i],
+    ]
+    _, vectors = np.linalg.eigh(np.array(lower) / 3)
+    largest: np.ndarray = vectors[:, 3]
+    return largest
+
+
 def _camera(shot: CameraMatrices, scale: float) -> Cameras:
     """Convert matrices to a camera in a scaled world."""
-    from scipy.spatial.transform import Rotation  # slow to import
-
     right, up, back = shot.view[:3, :3]
     eye = -shot.view[:3, 3] @ shot.view[:3, :3]
-    attitude = Rotation.from_matrix(np.stack([-back, -right, up], axis=1))
+    attitude = _quaternion(np.stack([-back, -right, up], axis=1))
     return Cameras(
         world=np.zeros(1, dtype=np.int64),
         drone=np.full(1, -1),
         eye=scale * eye[None],
-        quaternion=attitude.as_quat()[None],
+        quaternion=attitude[None],
         tangent=1 / shot.projection[1:2, 1],
         slot=np.zeros(1, dtype=np.int64),
     )

@@ -146,8 +146,9 @@ class EnvSpec:
             return
         if self.options.frame_stack > 1:
             raise ValueError(
-                f"frame_stack is {self.options.frame_stack}, and no picture is observed: add one, "
-                f"such as 'depth', or stack vectors by gymnasium.wrappers.FrameStackObservation"
+                f"frame_stack is {self.options.frame_stack}, and no picture is observed: name one "
+                "in observation, such as 'depth', or stack vectors by "
+                "gymnasium.wrappers.FrameStackObservation"
             )
         if self.options.camera_format != ARRAY:
             raise ValueError(

@@ -61,7 +61,7 @@ class Formation(GoalFlight[FormationConfig]):
 
     Reward per decision, the weighted sum of these terms (see `GoalFlight` for all terms):
 
-    - progress 1: decrease of the distance to the place, m, including the motion of the place.
+    - progress 1: decrease of the distance to the moving place, m.
     - holding 1: 1 within 2 m of the place.
     - conflict -500: number of drones whose separation falls below d_safe = 5 m.
     - warning -1: sum over other drones of their proximity, linear from 0 at 10 m to 1 at 5 m.
@@ -74,8 +74,8 @@ class Formation(GoalFlight[FormationConfig]):
     End: terminated on contact, when the battery is empty, or outside the arena. Truncated after 500
     decisions; hard has 750, extreme has 1,500.
 
-    Success: the drone was at its place for 70 % of the episode (medium 65 %, hard and extreme
-    55 %), without conflict or collision. Changes of shape and places take the rest.
+    Success: the drone was at its place for `min_in_place` of the episode, without conflict or
+    collision.
 
     Infos: `formation_error` is the root mean square of the active drones' distances from their
     places. `shape_error` is the residual after the optimal translation and rotation of the shape.

@@ -68,7 +68,7 @@ class MecAdvanced(UserService[MecAdvancedConfig]):
     - energy 0: power divided by 400 W.
     - service_time 0.5: tanh(0.1 s) averaged over all users, where s is the time for which a drone
       has seen the user without interruption, s.
-    - dwell_time 0: tanh(0.1 s), where s is the mean of such times of the drone itself, s.
+    - dwell_time 0: tanh(0.1 s), with the mean of such times of the drone itself, s.
     - conflict -20: number of drones whose separation falls below d_safe = 2 m.
     - collision -5: 1 on contact of collision shapes.
     - out_of_bounds 0: 1 at the bounds of the airspace.

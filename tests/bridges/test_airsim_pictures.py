@@ -120,8 +120,7 @@ class Stub:
         type(self).made += (self,)
         self.drawn = []
 
-    def prepare(self, setup):
-        contents, _ = setup
+    def prepare(self, contents):
         assert len(contents.airframes) >= 1
 
     def draw(self, poses, exposure, is_list):

@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import bulletuav
-from bulletuav.engine.visual_scene import COLLISION_COLOUR, FLOOR_COLOUR
+from bulletuav.engine.visual_scene import COLLISION_COLOUR, FLOOR_COLOUR, _quaternion
 from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.geometry.view import (
     DRONE,
@@ -114,3 +115,11 @@ def test_bodies_added_later_and_in_other_worlds():
     assert found[0] == 0
     assert found[1] > 50
     aviary.close()
+
+
+def test_attitudes_of_cameras_are_those_of_their_matrices():
+    """Also of half turns, where formulas that divide by the real part fail."""
+    half_turns = Rotation.from_quat([[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0.6, 0, 0.8, 0]])
+    for one in Rotation.concatenate([Rotation.random(20, random_state=0), half_turns]):
+        found = Rotation.from_quat(_quaternion(one.as_matrix()))
+        np.testing.assert_allclose(found.as_matrix(), one.as_matrix(), atol=1e-14)
