@@ -373,7 +373,8 @@ def test_what_is_completed_and_how_late_is_what_was_told_last(dives):
 
 USERS = ("city_alpha", "city_beta", "city_gamma", "dwell_time", "mean_service")
 EDGE = (*USERS, "dropped", "utilisation", "queue")
-OWN = {"los": USERS, "mobile_users": USERS, "mec": EDGE, "mec_advanced": EDGE}
+RELAY = (*USERS, "contribution")
+OWN = {"los": RELAY, "mobile_users": RELAY, "mec": EDGE, "mec_advanced": EDGE}
 
 
 @pytest.mark.parametrize(
