@@ -28,7 +28,7 @@ from bulletuav.engine.engine import Engine
 from bulletuav.geometry.raster import Cameras, Images
 from bulletuav.geometry.rotation import axes, from_euler
 from bulletuav.geometry.solids import Solids
-from bulletuav.geometry.view import projection_matrix, view_matrix
+from bulletuav.geometry.view import CameraMatrices, projection_matrix, view_matrix
 from bulletuav.vehicle.swarm import Swarm
 
 URBAN = Statistics(0.3, 500.0, 15.0)
@@ -125,9 +125,8 @@ def render_some(scene: Scene, size: int) -> float:
     start = time.process_time()
     for eye, turn in zip(cameras.eye, cameras.quaternion, strict=True):
         forward, _, up = (np.array(axis) for axis in axes(turn))
-        scene.engine.picture(
-            0, view_matrix(eye, eye + forward, up.tolist()), projection, (size,) * 2
-        )
+        view = view_matrix(eye, eye + forward, up.tolist())
+        scene.engine.picture_by_bullet(0, CameraMatrices(view, projection, (size, size)))
     return NUM_DRONES / (time.process_time() - start)
 
 
