@@ -233,11 +233,11 @@ def check_streets(told, folder):
         bulletuav.evaluate("lidar_navigation", folder, 1)
 
 
-def check_depth_ppo(told, folder):
-    assert numbers("# decisions: mean return #", told)[0, 0] == 64 * (40 * 3 + 24 * 5 + 15 * 8)
+def check_depth_ppo(output, folder):
+    assert numbers("# decisions: mean return #", output)[0, 0] == 64 * (40 * 3 + 24 * 5 + 15 * 8)
     # float32 of PyTorch and of ONNX Runtime
-    assert numbers(r"ONNX file differ by at most #e-0#", told)[0, 1] >= 6
-    reached, low, high = numbers(r"at medium # \(# to #\) reach their goals", told)[0]
+    assert numbers(r"ONNX file differ by at most #e-0#", output)[0, 1] >= 6
+    reached, low, high = numbers(r"at medium # \(# to #\) reach their goals", output)[0]
     assert reached == low == 0 <= high  # which has learned nothing yet
     settings = yaml.safe_load((folder / "run.yaml").read_text())
     assert settings["options"]["action"] == "turn_speed"

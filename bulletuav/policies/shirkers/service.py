@@ -1,5 +1,7 @@
 """Policies that try to be paid for service over a city without the work of a whole swarm."""
 
+from typing import ClassVar
+
 import numpy as np
 
 from bulletuav.compiled.functions import sin
@@ -63,34 +65,38 @@ class FollowOne(Placement):
         return assign_optimally(ring, position)
 
 
+class SomeServe(Oracle):
+    """Base class of policies by which some drones serve as the oracle does, and the others stay.
+
+    Attributes:
+        resting: The drones that stay.
+    """
+
+    resting: ClassVar[slice]
+
+    def avoid(
+        self, traffic: Traffic, preferred: np.ndarray, parameters: AvoidanceParameters
+    ) -> np.ndarray:
+        """Return velocities that are zero for drones that stay; see `Avoidance.avoid`."""
+        velocity = super().avoid(traffic, preferred, parameters)
+        velocity[:, self.resting] = 0.0
+        return velocity
+
+
 @register("policy")
-class OneServes(Oracle):
+class OneServes(SomeServe):
     """Let the first drone fly to its place as the oracle does, and the others stay."""
 
     name = "service_by_one"
-
-    def avoid(
-        self, traffic: Traffic, preferred: np.ndarray, parameters: AvoidanceParameters
-    ) -> np.ndarray:
-        """Return velocities that are zero but for the first drone; see `Avoidance.avoid`."""
-        velocity = super().avoid(traffic, preferred, parameters)
-        velocity[:, 1:] = 0.0
-        return velocity
+    resting = slice(1, None)
 
 
 @register("policy")
-class AllButOneServe(Oracle):
+class AllButOneServe(SomeServe):
     """Let all drones but the last fly to their places as the oracle does, and the last one stay."""
 
     name = "service_but_one"
-
-    def avoid(
-        self, traffic: Traffic, preferred: np.ndarray, parameters: AvoidanceParameters
-    ) -> np.ndarray:
-        """Return velocities that are zero for the last drone; see `Avoidance.avoid`."""
-        velocity = super().avoid(traffic, preferred, parameters)
-        velocity[:, -1] = 0.0
-        return velocity
+    resting = slice(-1, None)
 
 
 @register("policy")
