@@ -80,8 +80,9 @@ class RacePilot(Policy):
     """Flight along near time-optimal racing lines, with staggered starts.
 
     A line is planned through the next gates at their predicted positions. The line is delayed if
-    its drone falls behind. A drone that is far from its line, or has missed a gate, gets a new line
-    with default parameters from its current position. Other drones are not considered.
+    its drone falls behind, and with it the lines of drones that started later. A drone that is far
+    from its line, or has missed a gate, gets a new line with default parameters from its current
+    position. Other drones are not considered otherwise.
 
     Attributes:
         headway: Time between the starts of consecutive drones, s.
@@ -190,10 +191,18 @@ class RacePilot(Policy):
         )
 
     def _delay_lines(self, now: np.ndarray) -> None:
-        """Delay the lines of drones that fall behind."""
+        """Delay the lines of drones that fall behind, and those of the drones behind them."""
         square = np.maximum((self._line_velocity**2).sum(axis=-1), MIN_DELAY_SPEED**2)
         behind = (self._line_offset * self._line_velocity).sum(axis=-1) / square
         self._start_time += np.where(now[:, None] >= self._start_time, DELAY_FRACTION * behind, 0.0)
+        # A line of the same gates keeps behind that of the drone that started before
+        follows = (self._first[:, 1:] == self._first[:, :-1]) & self.aviary.alive[:, :-1]
+        for i in np.flatnonzero(follows.any(axis=0)).tolist():
+            earliest = self._start_time[:, i] + self.headway
+            delayed = np.maximum(self._start_time[:, i + 1], earliest)
+            self._start_time[:, i + 1] = np.where(
+                follows[:, i], delayed, self._start_time[:, i + 1]
+            )
 
     def _is_lost(self, now: np.ndarray) -> np.ndarray:
         """Return which drones left their line, missed a gate or near its end, (W, N) bool."""

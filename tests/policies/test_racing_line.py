@@ -191,3 +191,20 @@ def test_the_pilot_flies_races_alone():
     aviary = bulletuav.Aviary("crossing", dynamics="point_mass")
     with pytest.raises(ValueError, match="supports task 'race', not 'crossing'"):
         find_policy("race_pilot")(aviary)
+
+
+def test_lines_of_later_drones_are_delayed_with_those_before_them():
+    aviary = bulletuav.Aviary("race", 2, num_drones=3, dynamics="point_mass")
+    policy = find_policy("race_pilot")(aviary)
+    observations = aviary.reset(seeds=0)
+    policy.reset(np.ones(2, dtype=bool))
+    while aviary.steps[0] < 40:  # all have started
+        observations = aviary.step(policy.act(observations, aviary.swarm)).observations
+    before = policy._start_time.copy()
+    # The first drone of world 0 falls behind, not so far that it plans a new line
+    policy._start_time[0, 0] += 0.1
+    policy.act(observations, aviary.swarm)
+    gaps = np.diff(policy._start_time[0])
+    assert (gaps >= policy.headway - 1e-9).all()
+    assert policy._start_time[0, 2] > before[0, 2] + 0.05
+    np.testing.assert_allclose(policy._start_time[1], before[1], atol=0.02)

@@ -91,7 +91,9 @@ class FormationPilot(Orca):
         fastest = self.parameters.max_speed
         fastest_stop = np.sqrt(2.0 * BRAKING * distance)
         speed = np.minimum(np.minimum(APPROACH * distance, fastest_stop), fastest) * pace
-        velocity: np.ndarray = goal * (1.0, 1.0, 0.0) * (speed / np.maximum(distance, 1e-9))[..., None]
+        velocity: np.ndarray = (
+            goal * (1.0, 1.0, 0.0) * (speed / np.maximum(distance, 1e-9))[..., None]
+        )
         velocity[..., 2] = np.clip(APPROACH * climb, -fastest, fastest)
         return velocity
 
