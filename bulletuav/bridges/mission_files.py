@@ -285,21 +285,28 @@ def _whole(name: str, value: Any) -> int:
 
 def _read_plan(path: Path, plan: Any, home: Position3 | None) -> Mission:
     """Read a plan of QGroundControl."""
-    if plan.get("fileType") != "Plan" or not isinstance(plan.get("mission"), dict):
+    mission = plan.get("mission")
+    if plan.get("fileType") != "Plan" or not isinstance(mission, dict):
+        what = shown(plan.get("fileType"))
         raise ValueError(
-            f"fileType is {shown(plan.get('fileType'))}: a plan with fileType 'Plan' and a mission "
-            f"is needed; save it again in QGroundControl"
+            f"fileType is {what} and mission is {shown(mission)}: a plan with fileType 'Plan' and "
+            f"a mission is needed; save it again in QGroundControl"
         )
-    mission = plan["mission"]
+    for where, owner, version in (("the plan", plan, 1), ("the mission", mission, 2)):
+        if owner.get("version", version) != version:
+            raise ValueError(
+                f"version of {where} is {shown(owner['version'])}: {version} is needed; save it "
+                f"again in QGroundControl"
+            )
     planned = mission.get("plannedHomePosition")
     if home is None and planned is not None:
         home = _check_home("plannedHomePosition", planned)
-    collected, ids = _Items(), dict[int, int]()
+    collected, ids = _Items(), dict[int, list[int]]()
     for each in _list(mission, "items", "mission"):
         for item in _expand(each, collected):
             identifier = item.get("doJumpId")
             if isinstance(identifier, int):
-                ids[identifier] = len(collected.items)
+                ids.setdefault(identifier, []).append(len(collected.items))
             collected.add(_parse_item(item, len(collected.items)))
     _set_jumps(collected.items, ids)
     speed = mission.get("hoverSpeed")
@@ -364,16 +371,18 @@ def _parse_item(item: dict[str, Any], number: int) -> MissionItem:
     )
 
 
-def _set_jumps(items: list[MissionItem], ids: dict[int, int]) -> None:
+def _set_jumps(items: list[MissionItem], ids: dict[int, list[int]]) -> None:
     """Replace the identifiers to which items jump by sequence numbers."""
     for number, item in enumerate(items):
         if item.command == JUMP:
             target = item.params[0]
-            if target not in ids:
+            found = ids.get(int(target), []) if math.isfinite(target) else []
+            if len(found) != 1:
                 raise ValueError(
-                    f"item {number} jumps to doJumpId {target:g}: there is no such item"
+                    f"item {number} jumps to doJumpId {target:g}, which {len(found)} items have: "
+                    f"one is needed"
                 )
-            items[number] = item._replace(params=(float(ids[int(target)]), *item.params[1:]))
+            items[number] = item._replace(params=(float(found[0]), *item.params[1:]))
 
 
 def _read_fence(fence: Any, notes: list[str]) -> list[MissionItem]:
@@ -417,5 +426,5 @@ def _read_area(where: str, area: dict[str, Any], command: int) -> list[MissionIt
         points = [circle.get("center")]
         first = finite(f"radius of {where}", circle.get("radius"), 1e-3, 1e5)
     corners = [_check_home(where, (*as_sequence(where, point, 2), 0.0)) for point in points]
-    params = (first, 0.0, 0.0, 0.0)
-    return [MissionItem(RELATIVE_FRAMES[0], command, params, x, y, 0.0, True) for x, y, _ in corners]
+    frame, params = RELATIVE_FRAMES[0], (first, 0.0, 0.0, 0.0)
+    return [MissionItem(frame, command, params, x, y, 0.0, True) for x, y, _ in corners]
