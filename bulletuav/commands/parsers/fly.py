@@ -10,7 +10,7 @@ ABOUT = {
     "help": "fly one episode and write trajectories and pictures",
     "description": (
         "Fly one episode without a window. Print the outcome of each drone. Write trajectories, "
-        "a plot and an animation. With --mission: fly a mission of a ground station."
+        "a plot and an animation. With --mission FILE, fly a mission of QGroundControl or Mission Planner."
     ),
     "epilog": """examples:
   bulletuav fly crossing --drones 8 --policy straight --seed 0 --out out
@@ -18,8 +18,7 @@ ABOUT = {
   bulletuav fly crossing --live --out out
   bulletuav fly hover --airframe hummingbird --difficulty hard --out out
   bulletuav fly lidar_navigation --city urban --out out
-  bulletuav fly crossing --dynamics rigid_body --wind 3 0 0 --set lane_spacing=20 --out out
-  bulletuav fly --mission survey.plan --airframe iris --wind 3 0 0 --out out""",
+  bulletuav fly crossing --dynamics rigid_body --wind 3 0 0 --set lane_spacing=20 --out out""",
 }
 
 
