@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from bulletuav.errors import read_file, shown
-from bulletuav.identification.logs import POSITION, ColumnSource, Log, read_table
-from bulletuav.identification.series import Series, convert, convert_attitude, merge_series
+from bulletuav.identification.logs import POSITION, ColumnSource, Log, parse_rows
+from bulletuav.identification.series import Series, convert_attitude, convert_columns, merge_series
 from bulletuav.vehicle.airframe import Airframe
 
 VEHICLE, IMAGE = "VehicleName", "ImageFile"
@@ -53,13 +53,13 @@ def read_airsim_recording(
     if clock is None:
         raise ValueError(f"{path} has no column {CLOCKS[0]}: record it again")
     places = {name: k for k, name in enumerate(header) if name not in (VEHICLE, IMAGE, "")}
-    table = read_table(path, rows, len(header), places)
+    table = parse_rows(path, rows, len(header), places)
     time = 1e-3 * table.pop(clock)
     if not np.isfinite(time).all():
         raise ValueError(f"{path}: {clock} is missing in a row: delete the row")
     series = Series("airsim_rec", time, table, {})
     names = ("POS_Y", "POS_X", "POS_Z")
-    converted = convert(series, POSITION, names, (1.0, 1.0, -1.0))
+    converted = convert_columns(series, POSITION, names, (1.0, 1.0, -1.0))
     converted |= convert_attitude(series, ("Q_W", "Q_X", "Q_Y", "Q_Z"))
     notes = [name for name in (VEHICLE, IMAGE) if name in header]
     merged = series._replace(converted=converted)

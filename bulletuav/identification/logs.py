@@ -190,7 +190,7 @@ def read_log(path: str | Path, sources: Mapping[str, ColumnSource], num_rotors: 
             _check_header(found, header)
             wanted = select_columns(found, header, sources, num_rotors)
             places = {source.column: header.index(source.column) for source in wanted.values()}
-            table = read_table(found, reader, len(header), places)
+            table = parse_rows(found, reader, len(header), places)
     except UnicodeDecodeError:
         raise ValueError(f"{found} is not text in UTF-8: export the log as CSV") from None
     except csv.Error as error:
@@ -205,7 +205,7 @@ def read_log(path: str | Path, sources: Mapping[str, ColumnSource], num_rotors: 
     return Log(found, columns, {}, used, tuple(name for name in header if name not in places))
 
 
-def read_table(
+def parse_rows(
     path: Path, reader: Iterable[list[str]], width: int, places: Mapping[str, int]
 ) -> dict[str, np.ndarray]:
     """Read columns of a CSV file.

@@ -6,7 +6,13 @@ from pathlib import Path
 import numpy as np
 
 from bulletuav.identification.logs import FORCE, POSITION, QUATERNION, RATES, ColumnSource, Log
-from bulletuav.identification.series import Converted, Series, convert, convert_motors, merge_series
+from bulletuav.identification.series import (
+    Converted,
+    Series,
+    convert_columns,
+    convert_motors,
+    merge_series,
+)
 from bulletuav.vehicle.airframe import MAX_ROTORS, Airframe
 
 POSE, IMU, MOTORS, BATTERY = "pose", "imu", "motors", "battery"
@@ -94,10 +100,10 @@ def _convert(series: Series, kind: str, airframe: Airframe) -> dict[str, Convert
         columns = [f"{names[0]}[{k}]" for k in range(MAX_ROTORS)]
         return convert_motors(series, "w", columns, range(len(airframe.rotors)))
     if role == BATTERY:
-        return convert(series, ("vbat",), names[:1], (1.0,))
+        return convert_columns(series, ("vbat",), names[:1], (1.0,))
     groups = (POSITION, QUATERNION) if role == POSE else (RATES, FORCE)
     found: dict[str, Converted] = {}
     for group, name in zip(groups, names, strict=True):
         columns = [f"{name}.{axis}" for axis in "xyzw"[: len(group)]]
-        found |= convert(series, group, columns, np.ones(len(group)).tolist())
+        found |= convert_columns(series, group, columns, np.ones(len(group)).tolist())
     return found

@@ -57,7 +57,7 @@ class Series(NamedTuple):
     converted: Mapping[str, Converted]
 
 
-def convert(
+def convert_columns(
     series: Series, names: Sequence[str], columns: Sequence[str], factors: Sequence[float]
 ) -> dict[str, Converted]:
     """Convert columns of a series by factors; return nothing if one of them is missing."""
@@ -106,7 +106,7 @@ def convert_motors(
     if not all(k < len(columns) for k in order):
         return {}
     names = [f"{kind}{r + 1}" for r in range(len(order))]
-    return convert(series, names, [columns[k] for k in order], [1.0] * len(order))
+    return convert_columns(series, names, [columns[k] for k in order], [1.0] * len(order))
 
 
 def merge_series(

@@ -22,8 +22,8 @@ from bulletuav.identification.logs import (
 from bulletuav.identification.series import (
     Converted,
     Series,
-    convert,
     convert_attitude,
+    convert_columns,
     convert_motors,
     merge_series,
     order_rotors,
@@ -59,7 +59,7 @@ ADVICE = (
 )
 
 
-class Field(NamedTuple):
+class UlogField(NamedTuple):
     """A number in a message: its name, NumPy type and offset in bytes."""
 
     name: str
@@ -173,9 +173,9 @@ class _Reader:
         self._topics[number] = f"{kind}_{instance}" if instance else kind
         self._kinds[number], self._places[number] = kind, []
 
-    def _layout(self, kind: str) -> tuple[list[Field], int]:
+    def _layout(self, kind: str) -> tuple[list[UlogField], int]:
         """Return the numbers of a format, and the size of a message, bytes."""
-        fields, size, num_expanded = list[Field](), 0, 0
+        fields, size, num_expanded = list[UlogField](), 0, 0
         waiting = [(0, kind, "")]
         # Nested formats are expanded in order, with a stack instead of recursion
         while waiting:
@@ -186,7 +186,7 @@ class _Reader:
                 raise ValueError(f"the format of {kind} is too large")
             if one in TYPES:
                 dtype = np.dtype(TYPES[one])
-                fields.append(Field(prefix, TYPES[one], size))
+                fields.append(UlogField(prefix, TYPES[one], size))
                 size += dtype.itemsize
                 continue
             if one not in self._formats:
@@ -261,7 +261,9 @@ def _convert(series: Series, airframe: Airframe) -> Series:
     found: dict[str, Converted] = {}
 
     def vector(names: tuple[str, ...], fields: tuple[str, ...], factors: tuple[int, ...]) -> None:
-        found.update(convert(series, names, [f"{topic}.{field}" for field in fields], factors))
+        found.update(
+            convert_columns(series, names, [f"{topic}.{field}" for field in fields], factors)
+        )
 
     if topic == "vehicle_local_position":
         vector(POSITION, ("y", "x", "z"), (1, 1, -1))

@@ -26,7 +26,7 @@ from bulletuav.identification.logs import (
 from bulletuav.identification.series import (
     Converted,
     Series,
-    convert,
+    convert_columns,
     convert_motors,
     merge_series,
     order_rotors,
@@ -165,7 +165,7 @@ def _convert(series: Series, airframe: Airframe) -> Series:
 
     def vector(names: tuple[str, ...], columns: str, factors: tuple[float, ...]) -> None:
         if not any(name in found for name in names):
-            found.update(convert(series, names, columns.split(), factors))
+            found.update(convert_columns(series, names, columns.split(), factors))
 
     vector(POSITION, "stateEstimate.x stateEstimate.y stateEstimate.z", (1, 1, 1))
     vector(POSITION, "stateEstimateZ.x stateEstimateZ.y stateEstimateZ.z", (1e-3,) * 3)

@@ -10,7 +10,8 @@ ABOUT = {
     "help": "fly one episode and write trajectories and pictures",
     "description": (
         "Fly one episode without a window. Print the outcome of each drone. Write trajectories, "
-        "a plot and an animation. With --mission FILE, fly a mission of QGroundControl or Mission Planner."
+        "a plot and an animation. With --mission FILE, fly a mission of QGroundControl or "
+        "Mission Planner."
     ),
     "epilog": """examples:
   bulletuav fly crossing --drones 8 --policy straight --seed 0 --out out
