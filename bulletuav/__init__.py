@@ -16,6 +16,7 @@ from bulletuav.version import __version__ as __version__
 MODULES = {
     "Airframe": "bulletuav.vehicle.airframe",
     "Airspace": "bulletuav.envs.airspace",
+    "AirspaceRecorder": "bulletuav.analysis.airspace_recorder",
     "Aviary": "bulletuav.envs.aviary",
     "SetpointLevel": "bulletuav.control.setpoint",
     "Versus": "bulletuav.policies.versus",
@@ -39,6 +40,7 @@ __all__ = sorted([*MODULES, "__version__"])
 
 if TYPE_CHECKING:  # the names of `MODULES` for type checkers and editors
     from bulletuav.adapters.self_play import team_env as team_env
+    from bulletuav.analysis.airspace_recorder import AirspaceRecorder as AirspaceRecorder
     from bulletuav.analysis.evaluation import evaluate as evaluate
     from bulletuav.control.setpoint import SetpointLevel as SetpointLevel
     from bulletuav.envs.airspace import Airspace as Airspace

@@ -115,7 +115,8 @@ class DroneVectorEnv(Environment, VectorMultiAgentEnv):  # type: ignore[misc]  #
         Args:
             seed: World k gets seed + k, or the k-th seed of a sequence; None continues the random
                 sequences.
-            options: As in `ParallelAviary.reset`; given positions apply to every world.
+            options: As in `ParallelAviary.reset`; values without a row for each world
+                apply to all.
 
         Returns:
             Observations and empty infos by agent, for each world.

@@ -180,7 +180,8 @@ class DroneTensorEnv(Environment, EnvBase):  # type: ignore[misc]  # has no type
 
         Args:
             tensordict: Data that may have "_reset".
-            **options: "start" and "goal", (N, 3) in m each, instead of random positions.
+            **options: Any of "start", "goal", "velocity", "quaternion", "rates" and "charge", which
+                are set instead of drawn; see `Aviary.reset`.
         """
         asked = None if tensordict is None else tensordict.get("_reset", None)
         worlds = np.ones(self.num_worlds, dtype=bool)

@@ -6,8 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bulletuav.analysis.recorded import INFO_ARRAYS, Recording
-from bulletuav.analysis.scene import SceneLog
-from bulletuav.envs.aviary import Aviary
+from bulletuav.analysis.scene import Recorded, SceneLog
 from bulletuav.geometry.rotation import to_world
 from bulletuav.vehicle.swarm import Contacts, Swarm
 
@@ -51,7 +50,7 @@ class _Decision(NamedTuple):
 class Recorder:
     """Records an episode of world 0 of an aviary, decision by decision."""
 
-    def __init__(self, aviary: Aviary) -> None:
+    def __init__(self, aviary: Recorded) -> None:
         """Start with the present state, such as right after a reset."""
         self._aviary = aviary
         self._first = int(aviary.steps[0])
@@ -124,7 +123,7 @@ class Recorder:
         )
 
 
-def _state(aviary: Aviary) -> _State:
+def _state(aviary: Recorded) -> _State:
     """Copy the state of world 0."""
     scene = aviary.scene
     active = aviary.task.active_targets(scene)[0]
@@ -139,7 +138,7 @@ def _state(aviary: Aviary) -> _State:
     )
 
 
-def _bar_axes(aviary: Aviary) -> np.ndarray:
+def _bar_axes(aviary: Recorded) -> np.ndarray:
     """Return the half axes of the bars among world 0's obstacles, (K, 3) m; they are constant."""
     turn = aviary.scene.obstacle_quaternion[0].tolist()
     bodies = zip(aviary.task.obstacles(), turn, strict=True)

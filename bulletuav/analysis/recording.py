@@ -2,7 +2,7 @@
 
 import csv
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +35,8 @@ __all__ = ["Outcome", "Recording", "fly_episode", "load", "outcomes", "save"]
 
 ARRAYS_FILE = "trajectory.npz"
 TABLE_FILE = "trajectory.csv"
+CALLS_FILE = "calls.json"
+"""File with the calls that flew an airspace; see `analysis.airspace_recorder`"""
 READABLE = (2, 3, 4, 5)
 """Versions that can be read. Version 2 has only the task's own infos, and goals even for tasks
 without goals. Versions 2 and 3 lack the axes of bars, and only version 5 has readings and the
@@ -121,29 +123,58 @@ def save(recording: Recording, aviary: Aviary, policy: str, seed: int, folder: P
     Raises:
         OSError: If a file cannot be written.
     """
-    # The arrays are written first: the description holds hashes of these files
-    arrays, table, run = folder / ARRAYS_FILE, folder / TABLE_FILE, folder / RUN
-    _write_arrays(recording, arrays)
-    _write_table(recording, table)
-    # JSON has no infinity: the separation of a single drone becomes null
     about = {
-        "bulletuav": __version__,
         "task": aviary.task.name,
         "policy": policy,
         "seed": seed,
         "options": describe_options(aviary.options, aviary.task.config),
+        # `bulletuav verify` repeats this call and compares the hashes
+        "call": _call(aviary, policy, seed),
+    }
+    return write_run(recording, folder, about)
+
+
+def write_run(
+    recording: Recording, folder: Path, about: Mapping[str, Any], calls: str | None = None
+) -> list[Path]:
+    """Write a recording to files.
+
+    Args:
+        recording: The flight.
+        folder: An existing folder.
+        about: Entries of `run.json` on what was flown; the outcomes and hashes are added.
+        calls: Contents of `calls.json`, which repeat the flight of an airspace.
+
+    Returns:
+        The paths; see `save`.
+
+    Raises:
+        OSError: If a file cannot be written.
+    """
+    # The arrays are written first: the description holds hashes of these files
+    arrays, table, run = folder / ARRAYS_FILE, folder / TABLE_FILE, folder / RUN
+    written = [arrays, table, run]
+    _write_arrays(recording, arrays)
+    _write_table(recording, table)
+    # Calls of an earlier flight are none of this one
+    (folder / CALLS_FILE).unlink(missing_ok=True)
+    if calls is not None:
+        replace_file(folder / CALLS_FILE, calls)
+        written.append(folder / CALLS_FILE)
+    content = {
+        "bulletuav": __version__,
+        **about,
+        # JSON has no infinity: the separation of a single drone becomes null
         "outcomes": [
             {name: value if value != np.inf else None for name, value in row._asdict().items()}
             for row in outcomes(recording)
         ],
-        # `bulletuav verify` repeats this call and compares the hashes
-        "call": _call(aviary, policy, seed),
         "hash": recording.hash(),
-        "files": hash_files(folder, (ARRAYS_FILE, TABLE_FILE)),
+        "files": hash_files(folder, (ARRAYS_FILE, TABLE_FILE, CALLS_FILE)),
     }
     # The seal reveals manual edits
-    replace_file(run, json.dumps(add_seal(about), indent=2) + "\n")
-    return [arrays, table, run]
+    replace_file(run, json.dumps(add_seal(content), indent=2) + "\n")
+    return written
 
 
 def _call(aviary: Aviary, policy: str, seed: int) -> str | None:

@@ -12,13 +12,18 @@ The parts of `Recording.scene`, with T decisions, N drones and K obstacles:
 """
 
 import json
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, Protocol
 
 import numpy as np
 
-from bulletuav.envs.aviary import Aviary
+from bulletuav.envs.options import EnvOptions
 from bulletuav.geometry.shapes import Shape
+from bulletuav.geometry.solids import Solids
+from bulletuav.sensors.base import Label
+from bulletuav.tasks.frame import Scene
 from bulletuav.vehicle.airframe import Airframe
+from bulletuav.vehicle.swarm import Contacts, Swarm
 from bulletuav.vehicle.visuals import read_visual_shapes
 
 PARTS = ("about", "rotor_speed", "obstacle_quaternion", "link", "hull", "hull_size")
@@ -47,10 +52,65 @@ UNITS = {
 """Units of a recording's arrays, by their names in files; readings have labels instead"""
 
 
+class Recorded(Protocol):
+    """What a recorder reads: an `Aviary`, or what looks like one. Arrays have W worlds."""
+
+    @property
+    def num_worlds(self) -> int:
+        """Number of worlds W."""
+
+    @property
+    def options(self) -> EnvOptions:
+        """Common options."""
+
+    @property
+    def task(self) -> Any:
+        """The task."""
+
+    @property
+    def steps(self) -> np.ndarray:
+        """Number of decisions, (W,)."""
+
+    @property
+    def swarm(self) -> Swarm:
+        """State of the drones."""
+
+    @property
+    def alive(self) -> np.ndarray:
+        """Drones in the airspace, (W, N) bool."""
+
+    @property
+    def scene(self) -> Scene:
+        """Goals and obstacles."""
+
+    @property
+    def contacts(self) -> Contacts:
+        """Contacts of the last decision."""
+
+    @property
+    def sight(self) -> np.ndarray:
+        """Targets in sight, (W, N, U) bool."""
+
+    @property
+    def links(self) -> np.ndarray:
+        """Targets that are served, (W, N, U) bool."""
+
+    @property
+    def readings(self) -> Mapping[str, np.ndarray]:
+        """Sensor readings, (W, N, ...) by name."""
+
+    @property
+    def reading_labels(self) -> dict[str, tuple[Label, ...]]:
+        """Labels of the numbers of readings, by name of the reading."""
+
+    def solids(self) -> Solids:
+        """Return the buildings of world 0."""
+
+
 class SceneLog:
     """Records, row by row, the scene and the sensor readings of world 0."""
 
-    def __init__(self, aviary: Aviary) -> None:
+    def __init__(self, aviary: Recorded) -> None:
         """Start with the first row, right after a reset."""
         self._aviary = aviary
         self._labels = aviary.reading_labels

@@ -116,15 +116,20 @@ def parse_call(text: Any, trust: bool, path: str | Path = "the file") -> dict[st
         or "task" not in call
     ):
         raise ValueError(f"{path} has no valid call to fly again: {shown(text)}")
+    require_trusted(call, trust, path)
+    found: dict[str, Any] = call
+    return found
+
+
+def require_trusted(value: Any, trust: bool, path: str | Path) -> None:
+    """Raise ValueError if a value of a file names code, and the file is not trusted."""
     # Names may refer to modules or pickled models, which run code when loaded
-    for name in _iterate_strings(call):
+    for name in _iterate_strings(value):
         if not trust and CODE_NAME.match(name):
             raise ValueError(
                 f"{path} names {shown(name)}, which is code or a model that can run code: "
                 f"pass --trust if you trust its author"
             )
-    found: dict[str, Any] = call
-    return found
 
 
 def _iterate_strings(value: Any) -> Iterable[str]:

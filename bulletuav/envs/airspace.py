@@ -52,6 +52,11 @@ from bulletuav.vehicle.swarm import Contacts, Swarm
 from bulletuav.vehicle.wind import MAX_WIND
 
 UP, NORTH = np.array((0.0, 0.0, 1.0)), np.array((0.0, 1.0, 0.0))
+CHANGES = (
+    *("step", "place", "command", "apply", "set_wind"),
+    *("place_obstacle", "add_body", "load_state"),
+)
+"""Methods of an `Airspace` that change its state"""
 ONLY = np.zeros(1, dtype=int)
 """Indices (1,) of the only world"""
 

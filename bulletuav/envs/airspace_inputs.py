@@ -41,7 +41,7 @@ MAX_NUMBER = 1e9
 """Largest absolute value in a state or setpoint"""
 TOLERANCE = 1e-6
 """Relative tolerance of quaternion norms and of rotor speeds"""
-MOTION_BOUNDS = (FASTEST, FASTEST_SPIN)
+MOTION_BOUNDS = {"velocity": FASTEST, "rates": FASTEST_SPIN}
 """Bounds of speed, m/s, and of angular rate, rad/s"""
 DYNAMICS_WITH_GRAVITY = ("point_mass", "double_integrator")
 """Dynamics whose accelerations are bounded by a fraction of gravity"""
@@ -274,11 +274,7 @@ def state_numbers(
         raise ValueError(f"position has shape {place.shape}: {(*count, 3)} is needed")
     # Another norm is a mistake, such as w in the first column
     turn = numbers_of_shape("quaternion", quaternion, (*count, 4))
-    norms = np.sqrt((turn * turn).sum(axis=-1))
-    if (np.abs(norms - 1) > TOLERANCE).any():
-        raise ValueError(
-            f"quaternion is {shown(quaternion)}: a length of 1 is needed, divide by its norm"
-        )
+    require_unit("quaternion", turn)
     # Tiles of other worlds, and parked bodies, are beyond
     half = TILE_PITCH / 2
     if (np.abs(place[..., :2]) >= half).any() or (np.abs(place[..., 2]) >= PARKING_HEIGHT).any():
@@ -295,15 +291,28 @@ def state_numbers(
             f"rotor_speed is {shown(rotor_speed)}: from 0 to the {most.max():g} rad/s of the "
             f"airframe is needed"
         )
+    moving = numbers_of_shape("velocity", velocity, (*count, 3))
+    turning = numbers_of_shape("rates", rates, (*count, 3))
+    require_motion("velocity", moving)
+    require_motion("rates", turning)
+    return place, turn, moving, turning, speed
+
+
+def require_unit(name: str, quaternion: np.ndarray) -> None:
+    """Raise ValueError for quaternions (..., 4) whose norm is not 1, or not a number."""
+    norms = np.sqrt((quaternion * quaternion).sum(axis=-1))
+    if not (np.abs(norms - 1) <= TOLERANCE).all():
+        raise ValueError(
+            f"{name} is {shown(quaternion)}: a length of 1 is needed, divide by its norm"
+        )
+
+
+def require_motion(name: str, values: np.ndarray) -> None:
+    """Raise ValueError for velocities, m/s, or body rates, rad/s, (..., 3) that are too fast."""
     # Half of the speed at which a flight counts as diverged
-    moving = (
-        numbers_of_shape("velocity", velocity, (*count, 3)),
-        numbers_of_shape("rates", rates, (*count, 3)),
-    )
-    for name, array, most_of in zip(("velocity", "rates"), moving, MOTION_BOUNDS, strict=True):
-        if np.abs(array).max(initial=0.0) >= most_of / 2:
-            raise ValueError(f"{name} is {shown(array)}: less than {most_of / 2:g} is needed")
-    return place, turn, *moving, speed
+    most = MOTION_BOUNDS[name] / 2
+    if not (np.abs(values) < most).all():
+        raise ValueError(f"{name} is {shown(values)}: less than {most:g} is needed")
 
 
 def level_of(level: Any, consumes: SetpointLevel, options: EnvOptions) -> SetpointLevel:

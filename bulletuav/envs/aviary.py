@@ -12,6 +12,7 @@ from bulletuav.envs.agents import ACTION_TYPES
 from bulletuav.envs.descriptions import describe_parts
 from bulletuav.envs.env_spec import MAX_WORLDS, EnvSpec
 from bulletuav.envs.environment import Environment, exclusive, in_plain_python
+from bulletuav.envs.given_starts import STARTS, read_given_starts
 from bulletuav.envs.infos import Infos, InfoTable, lazy_infos
 from bulletuav.envs.marks import marks_of
 from bulletuav.envs.simulation import Simulation
@@ -35,9 +36,7 @@ from bulletuav.sensors.base import Label
 from bulletuav.sensors.sight import line_of_sight
 from bulletuav.tasks import TaskSource
 from bulletuav.tasks.frame import Frame
-from bulletuav.tasks.given import GivenPositions
 from bulletuav.tasks.observations.observer import Observation
-from bulletuav.tasks.starts import read_given_positions
 from bulletuav.vehicle.swarm import Contacts
 
 NOTHING_STANDS = Solids(np.zeros((0, 2, 3)))
@@ -137,6 +136,11 @@ class Aviary(Environment):
         seeds: int | Sequence[int] | None = None,
         start: Any = None,
         goal: Any = None,
+        *,
+        velocity: Any = None,
+        quaternion: Any = None,
+        rates: Any = None,
+        charge: Any = None,
     ) -> Observation:
         """Start new episodes.
 
@@ -145,8 +149,15 @@ class Aviary(Environment):
             seeds: An int s gives world k the seed s + k. A sequence gives each of the W worlds its
                 own seed. None continues the random numbers of each world, which start from the
                 option `seed`, or from entropy.
-            start: (N, 3) start positions in these episodes, m; None for the task's option `start`.
-            goal: (N, 3) goals in these episodes, m; None for the task's option `goal`.
+            start: (N, 3) start positions in these episodes, m, or (W, N, 3) for each world; None
+                for the task's option `start`.
+            goal: (N, 3) or (W, N, 3) goals in these episodes, m; None for the task's option `goal`.
+            velocity: (N, 3) or (W, N, 3) velocities at the start, m/s; None for the task's own.
+            quaternion: (N, 4) or (W, N, 4) attitudes at the start, body to world; None for the
+                task's own. Dynamics without tilt use the heading only.
+            rates: (N, 3) or (W, N, 3) body rates at the start, rad/s; None for the task's own.
+            charge: (N,) or (W, N) charge of the batteries at the start, above 0 and at most 1; None
+                for full batteries.
 
         Returns:
             Observations of all worlds, (W, N, D) float32 or a dict.
@@ -161,12 +172,11 @@ class Aviary(Environment):
         worlds = chosen.nonzero()[0].tolist()
         simulation = self.simulation
         generators = simulation.start.generators(worlds, spec.seeds(seeds))
-        given = spec.given
-        if not (start is None and goal is None):
-            places = read_given_positions(self.task, start, goal)
-            given = GivenPositions(
-                *(given[k] if one is None else one for k, one in enumerate(places))
-            )
+        values = (start, goal, velocity, quaternion, rates, charge)
+        given = [spec.given] * len(worlds)
+        if any(value is not None for value in values):
+            kinds = (self.task, self.options, spec.given.positions, worlds, self.num_worlds)
+            given = read_given_starts(*kinds, dict(zip(STARTS, values, strict=True)))
         # All checks are made before the worlds are written
         simulation.start.draw(generators, given)
         simulation.start_worlds(chosen, worlds, generators)

@@ -9,7 +9,7 @@ from bulletuav.compiled.kernel import kernel
 from bulletuav.compiled.lanes import WIDTH, lane_zeros, lanes_row
 from bulletuav.compiled.program import Program
 from bulletuav.envs.options import EnvOptions
-from bulletuav.envs.rows import add_value
+from bulletuav.envs.rows import add_rows, add_value
 from bulletuav.vehicle.battery import (
     Battery,
     battery_speed_ratio,
@@ -67,9 +67,15 @@ class Energy:
             self._packed = lane_zeros(-(-parameters.size // WIDTH), len(RotaryWing._fields))
             pack_numbers(self._wings.view(float).reshape(*parameters.shape, -1), self._packed)
 
-    def add_start(self, program: Program, worlds: np.ndarray) -> None:
-        """Add to a program that batteries are full in worlds (W,) bool that start an episode."""
-        add_value(program, worlds, 1.0, self._battery.charge)
+    def add_start(self, program: Program, worlds: np.ndarray, charge: np.ndarray) -> None:
+        """Add to a program that batteries of worlds (W,) bool that start an episode are charged.
+
+        Args:
+            program: Program that is extended.
+            worlds: Worlds that start.
+            charge: Its first rows are the charges (N,) of these worlds.
+        """
+        add_rows(program, worlds, charge, self._battery.charge)
         add_value(program, worlds, 0.0, self.power)
 
     def add_voltage(self, program: Program) -> None:

@@ -31,7 +31,7 @@ from bulletuav.tasks.base import Task
 from bulletuav.tasks.check import check_arena, check_bodies
 from bulletuav.tasks.config import TaskConfig
 from bulletuav.tasks.frame import TaskContext
-from bulletuav.tasks.given import PLACES
+from bulletuav.tasks.given import DRAWN, PLACES, GivenStart
 from bulletuav.tasks.ingredients import find_term
 from bulletuav.tasks.observations.images import ARRAY
 from bulletuav.tasks.observations.observer import (
@@ -68,7 +68,7 @@ class EnvSpec:
         num_worlds: Number of worlds W.
         options: Common options.
         task: The task.
-        given: Start positions and goals from the options.
+        given: Starts from the options: positions and goals.
         action: Definition of actions.
         observer: Computes the observations.
         state: Computes the global state.
@@ -88,7 +88,8 @@ class EnvSpec:
         self._require_memory(BODY_BYTES * self.options.num_drones)
         self.task = _make_task(kind, config, self.options)
         places = (getattr(self.task.config, name, None) for name in PLACES)
-        self.given = read_given_positions(self.task, *places)
+        given = read_given_positions(self.task, *places)
+        self.given = DRAWN if given.is_empty else GivenStart(given)
         self.action = _make_action(self.options, self.task)
         # Observations determine which sensors are needed
         sources = kind.observation if self.options.observation is None else self.options.observation

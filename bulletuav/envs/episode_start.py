@@ -1,5 +1,6 @@
 """Start of episodes in some of the worlds."""
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,7 +15,7 @@ from bulletuav.envs.worlds import Worlds
 from bulletuav.tasks.base import Task
 from bulletuav.tasks.frame import FIELDS, Spawn
 from bulletuav.tasks.frame_measures import FrameMeasures
-from bulletuav.tasks.given import GivenPositions
+from bulletuav.tasks.given import DRAWN, GivenStart
 from bulletuav.tasks.spawns import MEMORY, SpawnBuffer
 
 STALE_FIELDS = frozenset(
@@ -55,6 +56,7 @@ class EpisodeStart:
         self._fresh, self._no_worlds, self._due = np.zeros((3, count), dtype=bool)
         self._fresh_indices: list[int] = []
         self._fresh_drones = np.zeros(state.alive.shape, dtype=bool)
+        self._charge = np.ones(state.alive.shape)  # of the worlds that start, first rows
         self._start: Program | None = None
         self._update: _AccountUpdate | None = None
         self.by_world_programs: tuple[ByWorld, ByWorld] | None = None
@@ -72,8 +74,12 @@ class EpisodeStart:
             for k in worlds
         ]
 
-    def draw(self, generators: list[np.random.Generator], given: GivenPositions) -> None:
+    def draw(self, generators: list[np.random.Generator], given: Sequence[GivenStart]) -> None:
         """Draw starts and check them, without changing the worlds.
+
+        Args:
+            generators: Generator of each world that starts.
+            given: What the user sets in each of these worlds.
 
         Raises:
             ValueError: If the task's starts are invalid.
@@ -86,13 +92,17 @@ class EpisodeStart:
                 f"{len(generators)} are needed, one for each generator"
             )
         # Most starts are complete as drawn
-        is_whole = task.has_goals and given.is_empty and not task.takes_off
+        is_whole = task.has_goals and not task.takes_off and all(one is DRAWN for one in given)
         if not is_whole or task.overrides_method("finish"):
             spawns = [
-                task.finish(spawn, given, rng) if isinstance(spawn, Spawn) else spawn
-                for spawn, rng in zip(spawns, generators, strict=True)
+                one.motion.apply_to(task.finish(spawn, one.positions, rng))
+                if isinstance(spawn, Spawn)
+                else spawn
+                for spawn, rng, one in zip(spawns, generators, given, strict=True)
             ]
         self.starts.store(spawns)
+        for row, one in zip(self._charge, given, strict=False):
+            row[:] = 1.0 if one.charge is None else one.charge
 
     def write(
         self, fresh: np.ndarray, indices: list[int], generators: list[np.random.Generator]
@@ -218,7 +228,7 @@ class EpisodeStart:
         ]
         for value, array in values:
             add_value(program, fresh, value, array)
-        worlds.energy.add_start(program, fresh)
+        worlds.energy.add_start(program, fresh, self._charge)
 
     def _reset_sensors(self) -> None:
         worlds = self._worlds

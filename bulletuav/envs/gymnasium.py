@@ -136,7 +136,8 @@ class CentralAviary(LabelledEnvironment, gymnasium.Env[Any, Any]):
 
         Args:
             seed: Seed of the random numbers; None continues them.
-            options: Any of "start" and "goal", (N, 3) m each, for given instead of drawn positions.
+            options: Any of "start", "goal", "velocity", "quaternion", "rates" and "charge", which
+                are set instead of drawn; see `Aviary.reset`.
 
         Returns:
             The observation, and infos (N,) by name.

@@ -107,7 +107,8 @@ class ParallelAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  #
 
         Args:
             seed: Seed of the random numbers; None continues them.
-            options: Any of "start" and "goal", (N, 3) m each, for given instead of drawn positions.
+            options: Any of "start", "goal", "velocity", "quaternion", "rates" and "charge", which
+                are set instead of drawn; see `Aviary.reset`.
 
         Returns:
             Observations and infos, by agent.

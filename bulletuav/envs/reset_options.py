@@ -5,6 +5,7 @@ import difflib
 from collections.abc import Mapping
 from typing import Any
 
+from bulletuav.envs.given_starts import STARTS
 from bulletuav.envs.options import EnvOptions
 from bulletuav.errors import shown
 from bulletuav.tasks.given import PLACES
@@ -20,7 +21,9 @@ ENV_OPTIONS = frozenset(field.name for field in dataclasses.fields(EnvOptions))
 """Options that are fixed when an environment is created"""
 _START = "start positions are 'start'"
 _GOAL = "goals of drones are 'goal'"
-_SPEED = "speeds and attitudes at the start follow from the task's own options, such as start_speed"
+_VELOCITY = "velocities at the start are 'velocity'"
+_ATTITUDE = "attitudes at the start are 'quaternion', body to world (x, y, z, w)"
+_CHARGE = "charges at the start are 'charge', from 0 to 1"
 _SCENE = "obstacles follow from the task's own options, set when the environment is created"
 _WORLDS = "worlds of a batch are chosen by 'reset_mask' of batch_env and Gymnasium's vector classes"
 REPLACEMENTS: Mapping[str, str] = {
@@ -28,8 +31,9 @@ REPLACEMENTS: Mapping[str, str] = {
     **dict.fromkeys(("initial_xyzs", "start_pos", "start_positions", "spawn", "state"), _START),
     **dict.fromkeys(("goals", "goal_position", "destination", "waypoints"), _GOAL),
     **dict.fromkeys(("target", "targets", "target_pos", "target_position"), _GOAL),
-    **dict.fromkeys(("velocity", "velocities", "initial_velocities", "init_vel"), _SPEED),
-    **dict.fromkeys(("initial_rpys", "start_orn", "orientation", "attitude", "rpy"), _SPEED),
+    **dict.fromkeys(("velocities", "initial_velocities", "init_vel"), _VELOCITY),
+    **dict.fromkeys(("initial_rpys", "start_orn", "orientation", "attitude", "rpy"), _ATTITUDE),
+    **dict.fromkeys(("battery", "battery_level", "soc", "state_of_charge"), _CHARGE),
     **dict.fromkeys(("obstacle", "obstacles", "num_obstacles", "world_scale"), _SCENE),
     **dict.fromkeys(("env_index", "env_ids", "env_idx", "indices", MASK), _WORLDS),
     **dict.fromkeys(
@@ -45,7 +49,7 @@ def reset_options(options: Any, *also: str) -> dict[str, Any]:
     """Check the options of a reset.
 
     Args:
-        options: A dict with "start" or "goal", (N, 3) m each, or None for nothing.
+        options: A dict with any of `STARTS`; see `Aviary.reset`. None for nothing.
         also: Further valid names.
 
     Returns:
@@ -60,7 +64,7 @@ def reset_options(options: Any, *also: str) -> dict[str, Any]:
             f"needed"
         )
     given = dict(options or {})
-    known = (*PLACES, *also)
+    known = (*STARTS, *also)
     for name in given:
         if name not in known and name not in WRAPPER_OPTIONS:
             raise ValueError(f"options: {_without_effect(name, known)}")

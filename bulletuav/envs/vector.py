@@ -117,8 +117,9 @@ class BatchAviary(LabelledEnvironment):
         Args:
             seed: An int s gives world k the seed s + k. A sequence gives each world its own seed.
                 None continues the random numbers of each world.
-            options: Any of "reset_mask", (W,) bool, for some of the worlds only; "start" and
-                "goal", (N, 3) m each, for given instead of drawn positions.
+            options: Any of "reset_mask", (W,) bool, for some of the worlds only, and of "start",
+                "goal", "velocity", "quaternion", "rates" and "charge", for all worlds or with a row
+                for each; see `Aviary.reset`.
 
         Returns:
             Observations of all worlds, (W, N, D) or a dict, and infos (W, N) by name.

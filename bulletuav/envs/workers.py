@@ -17,6 +17,7 @@ from gymnasium.vector import AutoresetMode
 
 from bulletuav.envs.env_spec import MAX_WORLDS, EnvSpec
 from bulletuav.envs.environment import LabelledEnvironment, exclusive
+from bulletuav.envs.given_starts import split_worlds
 from bulletuav.envs.reset_options import MASK, reset_options
 from bulletuav.envs.shared_infos import SharedInfos, merge_infos, num_info_rows
 from bulletuav.envs.snapshot import Snapshot, own_snapshot, require_snapshot
@@ -270,10 +271,17 @@ class WorkerAviary(LabelledEnvironment):
         given = reset_options(options, MASK)
         mask = self._spec.mask(given.pop(MASK, None))
         seeds = self._spec.seeds(seed)
+        sizes = (self._spec.options.num_drones, self.num_envs)
+        split = {name: split_worlds(name, value, *sizes) for name, value in given.items()}
         keywords: dict[int, dict[str, Any]] = {}
         for k, part in enumerate(self._slices):
             own = None if seeds is None else seeds[part]
-            keywords[k] = {"seed": own, "options": {MASK: mask[part], **given}}
+            # Values for all worlds, or the rows of this worker's worlds
+            starts = {
+                name: rows[0] if len(rows) == 1 else np.array(rows[part])
+                for name, rows in split.items()
+            }
+            keywords[k] = {"seed": own, "options": {MASK: mask[part], **starts}}
         infos = merge_infos(self._slices, self._request("reset", keywords), self.num_envs)
         self._infos.set_types(infos)
         self._started = True

@@ -9,9 +9,10 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from bulletuav.analysis.airspace_recorder import fly_calls
 from bulletuav.analysis.conditions import Conditions
 from bulletuav.analysis.evaluation import RUN, Evaluation, evaluate
-from bulletuav.analysis.recording import ARRAYS_FILE, fly_episode, load
+from bulletuav.analysis.recording import ARRAYS_FILE, CALLS_FILE, fly_episode, load
 from bulletuav.analysis.seals import (
     SEAL,
     compute_seal,
@@ -135,6 +136,11 @@ class Verifier(NamedTuple):
     def _recording(self, folder: Path, about: dict[str, Any]) -> list[Check]:
         """Repeat the flight of a recording that `bulletuav fly` wrote."""
         recording = load(folder)
+        if CALLS_FILE in about.get("files", {}):
+            with self.show("flying", len(recording.reward), "steps") as report:
+                steps = itertools.count(1)
+                flown = fly_calls(folder / CALLS_FILE, self.trust, lambda: report(next(steps)))
+            return [Check("flight", about["hash"], flown.hash(like=recording))]
         call = self._parse_call(about, folder / RUN)
         if lacking := {"policy", "seed", "num_worlds"} - set(call):
             raise ValueError(f"{folder / RUN} is damaged: its call lacks {min(lacking)}")

@@ -28,7 +28,9 @@ WITHOUT_EFFECT = {
     "num_drones": "num_drones is fixed when the environment is created",
     "wind": "wind is fixed when the environment is created",
     "positions": "start positions are 'start'",
-    "velocity": "start_speed",
+    "init_vel": "velocities at the start are 'velocity'",
+    "rpy": "attitudes at the start are 'quaternion'",
+    "soc": "charges at the start are 'charge'",
     "obstacles": "obstacles follow from the task's own options",
     "initial_xyzs": "start positions are 'start'",
     "target_pos": "goals of drones are 'goal'",
@@ -49,7 +51,8 @@ def env(request):
 
 
 def test_a_reset_takes_no_option_without_effect(env):
-    names = "start, goal, reset_mask" if env.several else "start, goal"
+    names = "start, goal, velocity, quaternion, rates, charge"
+    names += ", reset_mask" if env.several else ""
     for name, remedy in WITHOUT_EFFECT.items():
         with pytest.raises(
             ValueError, match=f"unknown option of a reset '{name}': .*{remedy}"
@@ -63,7 +66,7 @@ def test_a_reset_takes_no_option_without_effect(env):
 
 def test_the_nearest_option_is_listed_first():
     env = SINGLE["parallel"]()
-    for name, first in (("goaal", "goal, start"), ("strt", "start, goal")):
+    for name, first in (("goaal", "goal"), ("strt", "start"), ("rate", "rates")):
         with pytest.raises(ValueError, match=f"a reset takes {first}"):
             env.reset(options={name: 1})
     env.close()

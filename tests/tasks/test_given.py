@@ -59,9 +59,9 @@ def test_every_class_of_environment_takes_them():
 @pytest.mark.parametrize(
     ("given", "said"),
     [
-        ({"start": START[:3]}, "4 finite positions"),
+        ({"start": START[:3]}, "shape \\(4, 3\\) for all worlds"),
         ({"start": START * np.nan}, "4 finite positions"),
-        ({"start": "here"}, "4 finite positions"),
+        ({"start": "here"}, "start is not numbers"),
         ({"goal": GOAL + 1000.0}, "goal of drone 0 .* inside the arena"),
         ({"start": START * (0.0, 1.0, 1.0)}, "overlap"),
         ({"strat": START}, "did you mean 'start'"),

@@ -23,6 +23,8 @@ ALTITUDE_TOLERANCE = 3.0
 """Altitude error at which a drone moves horizontally at half speed, m"""
 APPROACH = 1.5
 """Gain from distance to speed, 1/s"""
+BRAKING = 5.0
+"""Deceleration towards the place, m/s^2: drones that have to tilt stop by it without overshoot"""
 
 
 @register("policy")
@@ -87,7 +89,9 @@ class FormationPilot(Orca):
         error = climb / ALTITUDE_TOLERANCE
         pace = 1.0 / (1.0 + error * error)
         fastest = self.parameters.max_speed
-        velocity = limit_norm(APPROACH * goal * (1.0, 1.0, 0.0), fastest) * pace[..., None]
+        fastest_stop = np.sqrt(2.0 * BRAKING * distance)
+        speed = np.minimum(np.minimum(APPROACH * distance, fastest_stop), fastest) * pace
+        velocity: np.ndarray = goal * (1.0, 1.0, 0.0) * (speed / np.maximum(distance, 1e-9))[..., None]
         velocity[..., 2] = np.clip(APPROACH * climb, -fastest, fastest)
         return velocity
 
