@@ -40,7 +40,7 @@ def run(arguments: argparse.Namespace) -> None:
     if arguments.mission is not None:
         from bulletuav.commands import fly_mission  # which imports the servers
 
-        fly_mission.run(arguments)
+        fly_mission.run(arguments, _prepare_folder)
         return
     if arguments.task is None:
         raise ValueError("fly what? Give either a task (see `bulletuav tasks`) or --mission FILE")

@@ -3,24 +3,28 @@
 import argparse
 import json
 import math
+from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from rich.table import Table
 
+from bulletuav.analysis.airspace_recorder import AirspaceRecorder
 from bulletuav.bridges.mission_files import NO_CHANGE, Mission, read_mission
 from bulletuav.bridges.mission_flight import MissionFlight
-from bulletuav.commands.arguments import given_options, make_out_folder
+from bulletuav.commands.arguments import given_options
 from bulletuav.commands.output import print_files, print_table
 from bulletuav.commands.progress import show_progress
 from bulletuav.errors import as_int
 from bulletuav.files import replace_file
 from bulletuav.identification.example import write_example_log
 from bulletuav.report.missions import plot_mission
+from bulletuav.report.replay import replay_run
 
 COLUMNS = ("t", "x", "y", "z", "qx", "qy", "qz", "qw", "vx", "vy", "vz", "p", "q", "r")
 """Columns of flight.csv before the rotor speeds"""
-TASK_ARGUMENTS = ("task", "policy", "live", "foxglove", "html", "trust")
+TASK_ARGUMENTS = ("task", "policy", "live", "foxglove", "trust")
 """Arguments that apply to tasks only"""
 NAMES = {
     16: "waypoint",
@@ -36,13 +40,20 @@ NAMES = {
 """Names of the supported commands, by number"""
 
 
-def run(arguments: argparse.Namespace) -> None:
-    """Fly a mission, print its items and what is not flown, and write its files."""
+def run(arguments: argparse.Namespace, prepare_folder: Callable[[Path], None]) -> None:
+    """Fly a mission, print its items and what is not flown, and write its files.
+
+    Args:
+        arguments: Parsed arguments of `bulletuav fly`.
+        prepare_folder: Function that creates the output folder, or clears it.
+    """
     for name in TASK_ARGUMENTS:
         if getattr(arguments, name):
             raise ValueError(f"{name} has no effect on a mission: omit it, or omit --mission")
     if arguments.animation not in (None, "none"):
-        raise ValueError("--animation has no effect on a mission, which has no film: omit it")
+        raise ValueError(
+            "--animation has no effect on a mission: omit it, and use bulletuav replay for films"
+        )
     as_int("seed", arguments.seed, 0)
     mission = read_mission(arguments.mission, arguments.home)
     options = given_options(arguments)
@@ -50,8 +61,8 @@ def run(arguments: argparse.Namespace) -> None:
     with MissionFlight(
         mission, airframe, speed=arguments.speed, seed=arguments.seed, **options
     ) as flight:
-        out = make_out_folder(arguments.out)
-        rows = []
+        prepare_folder(arguments.out)
+        out, rows = arguments.out, []
         numbers = [k for k, item in enumerate(mission.items) if item is not NO_CHANGE]
 
         with show_progress("flying", len(numbers), "items") as report:
@@ -66,14 +77,18 @@ def run(arguments: argparse.Namespace) -> None:
                 )
                 report(min(len(flight.reached), len(numbers)))
 
-            flight.fly(record)
+            with AirspaceRecorder(flight.airspace) as recorder:
+                flight.fly(record)
         table = np.array(rows)
         names = [*COLUMNS, *(f"w{r + 1}" for r in range(table.shape[1] - len(COLUMNS)))]
-        files = [write_example_log(out / "flight.csv", table, names), out / "mission.json"]
-        replace_file(files[1], json.dumps(_summarize(flight), indent=1) + "\n")
-        files.append(out / "mission.png")
+        report_path, picture = out / "mission.json", out / "mission.png"
+        files = [*recorder.save(out), write_example_log(out / "flight.csv", table, names)]
+        replace_file(report_path, json.dumps(_summarize(flight), indent=1) + "\n")
         title = f"{mission.path.name}: {flight.airspace.airframes[0].name}"
-        plot_mission(table[:, 0], table[:, 1:4], mission.waypoints(), title, files[2])
+        plot_mission(table[:, 0], table[:, 1:4], mission.waypoints(), title, picture)
+        files += [report_path, picture]
+        if arguments.html:
+            files.append(replay_run(out))
     print_table(_table(mission, flight))
     for time, text in flight.texts:
         print(f"{time:.2f} s: {text}")

@@ -277,7 +277,7 @@ def test_unlimited_loiter_ends_the_flight(save):
 def test_command_flies_and_reports(save, tmp_path, capsys):
     path, out = save(plan(TAKE_OFF, simple(206, [0] * 7, 2), waypoint(3, 0, 2))), tmp_path / "out"
     options = ["--dynamics", "rigid_body", "--speed", "1", "--wind", "1", "0", "0"]
-    main(["fly", "--mission", str(path), *options, "--out", str(out)])
+    main(["fly", "--mission", str(path), *options, "--html", "--out", str(out)])
     printed = capsys.readouterr().out
     assert "item 1: command 206 (DO_SET_CAM_TRIGG_DIST) is not flown" in printed
     assert "outcome: mission complete: holds at its last item" in printed
@@ -285,6 +285,9 @@ def test_command_flies_and_reports(save, tmp_path, capsys):
     assert [one["item"] for one in report["reached"]] == [0, 2]
     assert len(report["notes"]) == 1
     assert (out / "mission.png").stat().st_size > 5000
+    assert (out / "replay.html").stat().st_size > 50_000
+    with np.load(out / "trajectory.npz") as recorded:
+        assert recorded["position"][-1, 0, 0] == pytest.approx(3, abs=0.4)
     lines = (out / "flight.csv").read_text().splitlines()
     assert lines[0] == "t,x,y,z,qx,qy,qz,qw,vx,vy,vz,p,q,r,w1,w2,w3,w4"
     assert float(lines[-1].split(",")[1]) == pytest.approx(3, abs=0.4)
@@ -296,7 +299,7 @@ def test_command_flies_and_reports(save, tmp_path, capsys):
         ([], "Give either a task"),
         (["hover", "--speed", "3"], "--speed and --home apply to missions"),
         (["hover", "--mission", "x.plan"], "task has no effect on a mission"),
-        (["--mission", "x.plan", "--html"], "html has no effect on a mission"),
+        (["--mission", "x.plan", "--live"], "live has no effect on a mission"),
         (["--mission", "x.plan", "--animation", "gif"], "--animation has no effect"),
         (["--mission", "x.plan", "--seed", "-1"], "seed is -1"),
     ],
