@@ -8,12 +8,12 @@ from bulletuav.bridges.mavlink_fence import Geofence, MissionItem
 from bulletuav.bridges.mavlink_protocol import RefusedError
 
 WAYPOINT, LOITER_UNLIMITED, LOITER_TIME, RETURN, LAND, TAKEOFF = 16, 17, 19, 20, 21, 22
-DELAY, CHANGE_SPEED = 93, 178
+DELAY, JUMP, CHANGE_SPEED = 93, 177, 178
 POSITION_COMMANDS = (WAYPOINT, LOITER_UNLIMITED, LOITER_TIME, LAND, TAKEOFF)
 """Commands of items with a position"""
-SUPPORTED_COMMANDS = (*POSITION_COMMANDS, RETURN, DELAY, CHANGE_SPEED)
+SUPPORTED_COMMANDS = (*POSITION_COMMANDS, RETURN, DELAY, JUMP, CHANGE_SPEED)
 """Commands of supported items"""
-UNSUPPORTED, UNSUPPORTED_FRAME, INVALID_PARAM5_X, DENIED = 3, 2, 10, 14
+UNSUPPORTED, UNSUPPORTED_FRAME, INVALID_PARAM1, INVALID_PARAM5_X, DENIED = 3, 2, 6, 10, 14
 """Error codes of a MISSION_ACK (MAV_MISSION_RESULT)"""
 Position = tuple[float, float, float]
 
@@ -75,6 +75,8 @@ def check_mission(
     for number, item in enumerate(items):
         if item.command not in SUPPORTED_COMMANDS:
             raise MissionError(f"item {number}: command {item.command} unknown", UNSUPPORTED)
+        if item.command == JUMP and item.params[0] not in range(len(items)):
+            raise MissionError(f"item {number}: jump to no item", INVALID_PARAM1)
         # Commands without a position have neither frame nor fence to check
         if item.command not in POSITION_COMMANDS:
             continue

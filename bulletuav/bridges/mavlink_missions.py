@@ -133,15 +133,23 @@ class MissionService:
             ]
         self._upload = None
         try:
-            self._replace(upload.mission_type, upload.items)
+            self.replace(upload.mission_type, upload.items)
         except MissionError as error:
             return [text(str(error)), _ack(upload.sender, error.code, upload.mission_type)]
         except RefusedError as error:
             return [text(str(error)), _ack(upload.sender, ERROR, upload.mission_type)]
         return [_ack(upload.sender, ACCEPTED, upload.mission_type)]
 
-    def _replace(self, mission_type: int, items: tuple[MissionItem, ...]) -> None:
-        """Validate a list, and replace the previous list of its type."""
+    def replace(self, mission_type: int, items: tuple[MissionItem, ...]) -> None:
+        """Validate a list, and replace the previous list of its type.
+
+        Args:
+            mission_type: `MISSION` or `FENCE`.
+            items: Items of the list.
+
+        Raises:
+            RefusedError: If an item is not supported or invalid. The previous list remains.
+        """
         if mission_type == FENCE:
             if any(item.command not in FENCE_COMMANDS for item in items):
                 raise MissionError("fence items must be polygons or circles", UNSUPPORTED)
@@ -186,7 +194,7 @@ class MissionService:
         if mission_type not in (*self.lists, ALL):
             return [_ack(sender, UNSUPPORTED, mission_type)]
         for each_type in self.lists if mission_type == ALL else (mission_type,):
-            self._replace(each_type, ())
+            self.replace(each_type, ())
         return [_ack(sender, ACCEPTED, mission_type)]
 
     def due(self, now: float) -> list[OutgoingMessage]:

@@ -10,6 +10,7 @@ from bulletuav.bridges.mavlink_fence import MissionItem
 from bulletuav.bridges.mavlink_items import (
     CHANGE_SPEED,
     DELAY,
+    JUMP,
     LAND,
     LOITER_TIME,
     LOITER_UNLIMITED,
@@ -65,6 +66,7 @@ class Route:
     def replace(self, items: tuple[MissionItem, ...]) -> None:
         """Replace the mission, and restart at its first item."""
         self.items, self.reached = items, list[int]()
+        self._num_jumps, self._has_moved = dict[int, int](), False
         self._speed: float | None = None
         self.set_current_item(0)
 
@@ -134,10 +136,24 @@ class Route:
                 self._motions = self._item_motions(self.items[self.current])
             motion = next(self._motions, None)
             if motion is not None:
+                self._has_moved = True
                 return motion
             self.reached.append(self.current)
-            self.set_current_item(self.current + 1)
+            self.set_current_item(self._find_next_item())
         return None
+
+    def _find_next_item(self) -> int:
+        """Return the index of the item after the current one, which may be a jump."""
+        item, number = self.items[self.current], self.current
+        # Jumps without a motion between them would repeat forever within one step
+        if item.command == JUMP and self._has_moved:
+            count, repeats = self._num_jumps.get(number, 0), item.params[1]
+            if count < repeats or repeats < 0:
+                self._num_jumps[number], self._has_moved = count + 1, False
+                return int(item.params[0])
+            # The next time that the mission arrives here, it jumps again
+            self._num_jumps[number] = 0
+        return number + 1
 
     def _item_motions(self, item: MissionItem) -> Iterator[MotionPrimitive | Mode]:
         """Yield the motions of an item, one by one, from the drone's present position."""
@@ -146,6 +162,8 @@ class Route:
                 self.speed = min(max(item.params[1], MIN_SPEED), MAX_SPEED)
         elif item.command == DELAY:
             yield self._wait(item.params[0])
+        elif item.command == JUMP:
+            return  # `_find_next_item` selects the item
         elif item.command == RETURN:
             self.reached.append(self.current)
             self.set_current_item(len(self.items))

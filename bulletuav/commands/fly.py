@@ -36,7 +36,17 @@ CAPTION = (
 
 
 def run(arguments: argparse.Namespace) -> None:
-    """Fly one episode and write its files."""
+    """Fly one episode, or a mission, and write its files."""
+    if arguments.mission is not None:
+        from bulletuav.commands import fly_mission  # which imports the servers
+
+        fly_mission.run(arguments, _prepare_folder)
+        return
+    if arguments.task is None:
+        raise ValueError("fly what? Give either a task (see `bulletuav tasks`) or --mission FILE")
+    if arguments.speed is not None or arguments.home is not None:
+        raise ValueError("--speed and --home apply to missions: give --mission FILE, or omit them")
+    arguments.animation = arguments.animation or "gif"
     # Check the input before anything is written
     as_int("seed", arguments.seed, 0)
     arguments.policy = arguments.policy or find_task(arguments.task).baseline

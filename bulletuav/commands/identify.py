@@ -11,8 +11,9 @@ from bulletuav.commands.parsers.identify import EXAMPLE_SECONDS
 from bulletuav.commands.progress import show_progress
 from bulletuav.identification.curves import make_curves
 from bulletuav.identification.example import add_sensor_noise, fly_example, write_example_log
-from bulletuav.identification.identify import WINDOW, Identification, identify
+from bulletuav.identification.identify import WINDOW, Identification, Prediction, identify
 from bulletuav.identification.intervals import LEVEL
+from bulletuav.identification.logs import Log
 from bulletuav.identification.write import (
     KINDS,
     MEASURES,
@@ -30,6 +31,8 @@ COLUMNS: tuple[tuple[str, JustifyMethod], ...] = (
     ("after", "right"),
     (f"{100 * LEVEL:.0f} % interval", "right"),
 )
+MAX_LISTED = 20
+"""Maximum number of unused columns that are printed for a log"""
 
 
 def run(arguments: argparse.Namespace) -> None:
@@ -62,9 +65,29 @@ def run(arguments: argparse.Namespace) -> None:
     # Constants, errors before and after, and where the files are
     print_table(_constants(result))
     print_table(_errors(result))
+    for log in {one.part.flight.log.path: one.part.flight.log for one in _all(result)}.values():
+        print(describe_unused(log))
     if result.note:
         print(result.note)
     print_files(files)
+
+
+def _all(result: Identification) -> list[Prediction]:
+    """Return the predictions of all logs."""
+    return [*result.fitted, *result.kept]
+
+
+def describe_unused(log: Log) -> str:
+    """Return a line on the columns of a log that are used and not used."""
+    topics: dict[str, list[str]] = {}
+    for name, source in log.used.items():
+        if name != source:
+            topics.setdefault(source.partition(".")[0], []).append(name)
+    read = "; ".join(f"{', '.join(names)} from {topic}" for topic, names in topics.items())
+    text = f"{log.path.name}: " + (f"{read}; " if read else "")
+    names, rest = log.unused[:MAX_LISTED], len(log.unused) - MAX_LISTED
+    more = f" and {rest} more, see the report" if rest > 0 else ""
+    return text + (f"not used: {', '.join(names)}{more}" if names else "all columns are used")
 
 
 def _constants(result: Identification) -> Table:

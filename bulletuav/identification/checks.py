@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -57,10 +58,10 @@ def check_log(log: Log, airframe: Airframe) -> Log:
         _check_radians(log)
         turns = [from_euler(*row) for row in log.stack(EULER)]
         columns |= dict(zip(QUATERNION, np.array(turns).T, strict=True))
-    log = Log(log.path, columns, log.filled)
+    log = replace(log, columns=columns)
     quaternion = _unit_quaternions(log)
     columns |= dict(zip(QUATERNION, quaternion.T, strict=True))
-    log = Log(log.path, columns, log.filled)
+    log = replace(log, columns=columns)
     _check_metres(log)
     log = remove_spikes(log)
     _check_upright(log)

@@ -26,7 +26,8 @@ from bulletuav.identification.fitting import (
     split_flights,
 )
 from bulletuav.identification.flight import prepare_log
-from bulletuav.identification.logs import OTHER, parse_map, read_log
+from bulletuav.identification.formats import read_flight_log
+from bulletuav.identification.logs import OTHER, parse_map
 from bulletuav.vehicle.airframe import Airframe
 from bulletuav.vehicle.airframes import MAX_MASS, load_airframe
 
@@ -130,7 +131,8 @@ def identify(
     is held out to evaluate the predictions.
 
     Args:
-        logs: CSV files, see `bulletuav.identification.logs`.
+        logs: CSV files, see `bulletuav.identification.logs`, or other formats, see
+            `bulletuav.identification.formats`.
         airframe: The airframe that was flown: a name, the path of a URDF, or the airframe.
         fit: Names of constants or groups; empty for all that the logs determine.
         columns: Mappings NAME=COLUMN[*FACTOR][+OFFSET] for columns with other names or units.
@@ -151,7 +153,7 @@ def identify(
     window = finite("window", window, 0.1, 5.0)
     sources = parse_map(columns)
     check_distinct_logs([Path(log) for log in logs])
-    read = [check_log(read_log(log, sources, len(drone.rotors)), drone) for log in logs]
+    read = [check_log(read_flight_log(log, sources, drone), drone) for log in logs]
     has_other = all(OTHER[0] in log for log in read)
     has_volts = all(log.kind == "pwm" and "vbat" in log for log in read)
     constants = choose_constants(fit, has_other, has_volts)

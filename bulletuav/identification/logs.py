@@ -22,7 +22,7 @@ import math
 import re
 from collections import Counter
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -92,11 +92,15 @@ class Log:
         path: The file.
         columns: Values (n,) by the names of `NAMES`, SI units, finite.
         filled: Number of missing values that were interpolated, by column.
+        used: Columns of the file from which each column was read.
+        unused: Columns and topics of the file that are not used.
     """
 
     path: Path
     columns: Mapping[str, np.ndarray]
     filled: Mapping[str, int]
+    used: Mapping[str, str] = field(default_factory=dict)
+    unused: tuple[str, ...] = ()
 
     def __contains__(self, name: str) -> bool:
         return name in self.columns
@@ -184,9 +188,9 @@ def read_log(path: str | Path, sources: Mapping[str, ColumnSource], num_rotors: 
             reader = csv.reader(file)
             header = [name.strip() for name in next(reader, [])]
             _check_header(found, header)
-            wanted = _select_columns(found, header, sources, num_rotors)
+            wanted = select_columns(found, header, sources, num_rotors)
             places = {source.column: header.index(source.column) for source in wanted.values()}
-            table = _read_table(found, reader, len(header), places)
+            table = parse_rows(found, reader, len(header), places)
     except UnicodeDecodeError:
         raise ValueError(f"{found} is not text in UTF-8: export the log as CSV") from None
     except csv.Error as error:
@@ -197,10 +201,11 @@ def read_log(path: str | Path, sources: Mapping[str, ColumnSource], num_rotors: 
         name: source.factor * table[source.column] + source.offset
         for name, source in wanted.items()
     }
-    return Log(found, columns, {})
+    used = {name: source.column for name, source in wanted.items()}
+    return Log(found, columns, {}, used, tuple(name for name in header if name not in places))
 
 
-def _read_table(
+def parse_rows(
     path: Path, reader: Iterable[list[str]], width: int, places: Mapping[str, int]
 ) -> dict[str, np.ndarray]:
     """Read columns of a CSV file.
@@ -262,10 +267,28 @@ def _check_header(path: Path, header: list[str]) -> None:
         )
 
 
-def _select_columns(
-    path: Path, header: list[str], sources: Mapping[str, ColumnSource], num_rotors: int
+def select_columns(
+    path: Path,
+    header: list[str],
+    sources: Mapping[str, ColumnSource],
+    num_rotors: int,
+    advice: str = "",
 ) -> dict[str, ColumnSource]:
-    """Select the columns to read; raise ValueError if required ones are missing."""
+    """Select the columns to read.
+
+    Args:
+        path: The file, for messages.
+        header: Names of the columns.
+        sources: Sources of columns that have other names.
+        num_rotors: Number of rotors, and so of commands.
+        advice: What to do if columns are missing, for the message; for CSV files by default.
+
+    Returns:
+        The source of each column to read, by name.
+
+    Raises:
+        ValueError: If required columns are missing.
+    """
     known = {name: ColumnSource(name) for name in NAMES if name in header} | dict(sources)
     for name, source in known.items():
         if source.column not in header:
@@ -287,10 +310,8 @@ def _select_columns(
     lacking = [name for name in needed if name not in known]
     if lacking:
         hints = "; ".join(f"{name}: {_hint(name, header)}" for name in lacking[:4])
-        raise ValueError(
-            f"{path} lacks the columns {', '.join(lacking)} ({hints}). Name them in the header, "
-            f"or map them by --map {lacking[0]}=COLUMN"
-        )
+        advice = advice or (f"Name them in the header, or map them by --map {lacking[0]}=COLUMN")
+        raise ValueError(f"{path} lacks the columns {', '.join(lacking)} ({hints}). {advice}")
     return {name: known[name] for name in needed}
 
 

@@ -1,5 +1,7 @@
 """Missing data in logs: gaps between rows, missing values, constant columns, and spikes."""
 
+from dataclasses import replace
+
 import numpy as np
 from scipy.ndimage import median_filter
 
@@ -90,7 +92,7 @@ def fill_gaps(log: Log) -> Log:
             )
         columns[name] = np.interp(time, time[good], values[good])
         filled[name] = int((~good).sum())
-    return Log(log.path, columns, filled)
+    return replace(log, columns=columns, filled=filled)
 
 
 def check_not_constant(log: Log) -> None:
@@ -119,4 +121,4 @@ def remove_spikes(log: Log) -> Log:
             for name in names:
                 columns[name] = np.interp(log.time, log.time[~bad], columns[name][~bad])
             filled[names[0]] = filled.get(names[0], 0) + int(bad.sum())
-    return Log(log.path, columns, filled)
+    return replace(log, columns=columns, filled=filled)

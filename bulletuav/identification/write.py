@@ -202,6 +202,8 @@ def _describe_logs(use: str, predictions: Sequence[Prediction]) -> list[dict[str
                 "tilt_deg": [float(angle) for angle in tilt],
                 "gain": 1 + 0.01 * float(one.log_parameters[LOG_PARAMETERS.index("gain")]),
                 "filled": dict(flight.log.filled),
+                "columns": dict(flight.log.used),
+                "unused": list(flight.log.unused),
             }
         )
     return found

@@ -71,6 +71,7 @@ def test_numbers_are_those_of_the_dialect():
         common.MAV_CMD_NAV_TAKEOFF,
         common.MAV_CMD_NAV_RETURN_TO_LAUNCH,
         common.MAV_CMD_NAV_DELAY,
+        common.MAV_CMD_DO_JUMP,
         common.MAV_CMD_DO_CHANGE_SPEED,
     )
 

@@ -10,7 +10,8 @@ ABOUT = {
     "help": "fly one episode and write trajectories and pictures",
     "description": (
         "Fly one episode without a window. Print the outcome of each drone. Write trajectories, "
-        "a plot and an animation."
+        "a plot and an animation. With --mission FILE, fly a mission of QGroundControl or "
+        "Mission Planner."
     ),
     "epilog": """examples:
   bulletuav fly crossing --drones 8 --policy straight --seed 0 --out out
@@ -31,7 +32,26 @@ def _replay() -> str:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add task, policy, seed, output files and environment options."""
-    parser.add_argument("task", help="one of `bulletuav tasks`")
+    parser.add_argument("task", nargs="?", help="one of `bulletuav tasks`")
+    parser.add_argument(
+        "--mission",
+        type=Path,
+        metavar="FILE",
+        help="fly a QGroundControl .plan or a .waypoints file instead of a task, with one drone",
+    )
+    parser.add_argument(
+        "--speed",
+        type=float,
+        metavar="M/S",
+        help="speed of the mission's legs (default: that of the file, or 5)",
+    )
+    parser.add_argument(
+        "--home",
+        type=float,
+        nargs=3,
+        metavar=("LATITUDE", "LONGITUDE", "ALTITUDE"),
+        help="start of the mission, degrees and m (default: that of the file)",
+    )
     parser.add_argument("--policy", help=task_policy_help)
     parser.add_argument(
         "--seed",
@@ -49,7 +69,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--animation",
         choices=("gif", "mp4", "none"),
-        default="gif",
         help="format of the animation; mp4 needs the extra 'video' (default: gif)",
     )
     parser.add_argument("--html", action="store_true", help=_replay)

@@ -61,7 +61,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add logs, airframe, constants to fit, and output folder."""
     # Data: logs and airframe
     parser.add_argument(
-        "logs", nargs="*", type=Path, metavar="LOG", help="CSV files with named columns"
+        "logs",
+        nargs="*",
+        type=Path,
+        metavar="LOG",
+        help="CSV files with named columns, ULog files (PX4), ROS bags, logs of Crazyflie's "
+        "micro-SD deck, or recordings of AirSim",
     )
     parser.add_argument(
         "--example",
