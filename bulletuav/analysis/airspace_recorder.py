@@ -18,6 +18,7 @@ from bulletuav.analysis.seals import require_trusted
 from bulletuav.conflict.separation import measure_conflict
 from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.envs.airspace import CHANGES, Airspace
+from bulletuav.envs.airspace_world import AirspaceWorld
 from bulletuav.envs.aviary import NOTHING_STANDS
 from bulletuav.envs.descriptions import describe_options
 from bulletuav.errors import find_choice, shown
@@ -308,6 +309,10 @@ class _View:
         ranging = _Ranging(sensing, self.options.max_range)
         self.task = _NoTask(tuple(made.get("obstacles", ())), ranging)
         self.sight = self.links = np.zeros((1, len(airspace.airframes), 0), dtype=bool)
+
+    @property
+    def worlds(self) -> AirspaceWorld:
+        return self._airspace.world
 
     @property
     def steps(self) -> np.ndarray:

@@ -111,9 +111,13 @@ class Recorder:
             collision=column("collision"),
             **_contact_columns([decision.contacts for decision in decisions]),
             goal=np.array([state.goal for state in states]),
-            obstacle=np.array([state.obstacle for state in states]),
-            obstacle_radius=np.array([obstacle.radius for obstacle in aviary.task.obstacles()]),
-            obstacle_axis=_bar_axes(aviary),
+            obstacle=np.concatenate(
+                [np.array([state.obstacle for state in states]), self._log.body_poses()[0]], axis=1
+            ),
+            obstacle_radius=np.append(
+                [obstacle.radius for obstacle in aviary.task.obstacles()], self._log.body_radius
+            ),
+            obstacle_axis=_bar_axes(aviary, len(self._log.body_radius)),
             building=aviary.solids().bounds,
             target=np.array([state.target for state in states]),
             seen=np.array([state.seen for state in states]),
@@ -138,12 +142,15 @@ def _state(aviary: Recorded) -> _State:
     )
 
 
-def _bar_axes(aviary: Recorded) -> np.ndarray:
-    """Return the half axes of the bars among world 0's obstacles, (K, 3) m; they are constant."""
+def _bar_axes(aviary: Recorded, num_pieces: int) -> np.ndarray:
+    """Return the half axes of the bars among world 0's obstacles, (K, 3) m; they are constant.
+
+    Those of the pieces of bodies are zero, as bodies may turn.
+    """
     turn = aviary.scene.obstacle_quaternion[0].tolist()
     bodies = zip(aviary.task.obstacles(), turn, strict=True)
     axes = [to_world(tuple(one), body.long_axis) for body, one in bodies]
-    return np.array(axes).reshape(-1, 3)
+    return np.concatenate([np.array(axes).reshape(-1, 3), np.zeros((num_pieces, 3))])
 
 
 def _contact_columns(contacts: list[Contacts]) -> dict[str, Any]:

@@ -1,6 +1,7 @@
 """Scene of a recording for replays: appearance of drones and obstacles, links, and readings.
 
-The parts of `Recording.scene`, with T decisions, N drones and K obstacles:
+The parts of `Recording.scene`, with T decisions, N drones and K obstacles, the last of which are
+the pieces of added bodies:
 
 - `about`: JSON text with the task's name, d_safe (m), units, airframes, obstacles, range finder,
   and labels of readings.
@@ -18,6 +19,8 @@ from typing import Any, Protocol
 import numpy as np
 
 from bulletuav.envs.options import EnvOptions
+from bulletuav.geometry.convex import bounding_radius
+from bulletuav.geometry.scenery import NOWHERE
 from bulletuav.geometry.shapes import Shape
 from bulletuav.geometry.solids import Solids
 from bulletuav.sensors.base import Label
@@ -103,6 +106,10 @@ class Recorded(Protocol):
     def reading_labels(self) -> dict[str, tuple[Label, ...]]:
         """Labels of the numbers of readings, by name of the reading."""
 
+    @property
+    def worlds(self) -> Any:
+        """Components of the worlds, with the engine."""
+
     def solids(self) -> Solids:
         """Return the buildings of world 0."""
 
@@ -117,6 +124,7 @@ class SceneLog:
         self._active = aviary.task.active_targets(aviary.scene)[0]
         self._rotor_speed: list[np.ndarray] = []
         self._turns: list[np.ndarray] = []
+        self._bodies: list[tuple[np.ndarray, np.ndarray]] = []
         self._links: list[np.ndarray] = []
         self._readings: dict[str, list[np.ndarray]] = {}
         self.record()
@@ -126,6 +134,10 @@ class SceneLog:
         aviary = self._aviary
         self._rotor_speed.append(aviary.swarm.rotor_speed[0].copy())
         self._turns.append(aviary.scene.obstacle_quaternion[0].copy())
+        scenery = aviary.worlds.engine.scenery
+        pieces = slice(scenery.place.shape[1] - len(scenery.bodies.owner), None)
+        poses = scenery.place[0, pieces].copy(), scenery.quaternion[0, pieces].copy()
+        self._bodies.append(poses)
         self._links.append(aviary.links[0][:, self._active])
         for name, values in aviary.readings.items():
             if name in self._labels:
@@ -133,8 +145,35 @@ class SceneLog:
 
     def discard_history(self) -> None:
         """Discard all rows but the last."""
+        del self._bodies[:-1]
         for kept in (self._rotor_speed, self._turns, self._links, *self._readings.values()):
             del kept[:-1]
+
+    @property
+    def body_radius(self) -> np.ndarray:
+        """Radii of the bounding spheres of the pieces of bodies, (P,), m."""
+        shapes = self._aviary.worlds.engine.added_shapes
+        return np.array([bounding_radius(shape) for shape, _ in shapes])
+
+    def body_poses(self) -> tuple[np.ndarray, np.ndarray]:
+        """Stack the poses of the P pieces of bodies in all rows.
+
+        Pieces that are not in the world are shown below the ground, below the drones.
+
+        Returns:
+            Positions (T+1, P, 3), m, and quaternions (T+1, P, 4).
+        """
+        radius = self.body_radius
+        place = np.full((len(self._bodies), len(radius), 3), NOWHERE)
+        turn = np.tile((0.0, 0.0, 0.0, 1.0), (*place.shape[:2], 1))
+        for k, poses in enumerate(self._bodies):
+            # Bodies may have been added since
+            count = len(poses[0])
+            place[k, :count], turn[k, :count] = poses
+        hidden = np.zeros_like(place)
+        hidden[..., :2] = self._aviary.swarm.position[0, :, :2].mean(axis=0)
+        hidden[..., 2] = -2 * radius
+        return np.where(place[..., 2:] == NOWHERE, hidden, place), turn
 
     def readings(self) -> dict[str, np.ndarray]:
         """Stack the sensor readings of all rows, by name."""
@@ -148,7 +187,9 @@ class SceneLog:
             # Options of users may contain NumPy numbers.
             "about": np.array(json.dumps(self._about(), default=float)),
             "rotor_speed": np.array(self._rotor_speed),
-            "obstacle_quaternion": np.array(self._turns),
+            "obstacle_quaternion": np.concatenate(
+                [np.array(self._turns), self.body_poses()[1]], axis=1
+            ),
             "link": np.argwhere(np.array(self._links)),
             "hull": np.concatenate([np.zeros((0, 3)), *hulls]),
             "hull_size": np.array([len(hull) for hull in hulls], dtype=np.int64),
@@ -169,7 +210,13 @@ class SceneLog:
             "airframes": [_airframe(one) for one in airframes],
             "airframe_of": [airframes.index(one) for one in options.airframe],
             # Obstacles and sensors
-            "obstacles": [{**_shape(one.shape), "colour": one.colour} for one in task.obstacles()],
+            "obstacles": [
+                {**_shape(shape), "colour": colour}
+                for shape, colour in (
+                    *((one.shape, one.colour) for one in task.obstacles()),
+                    *self._aviary.worlds.engine.added_shapes,
+                )
+            ],
             "lidar": {
                 "beams": task.context.beams,
                 "frame": options.lidar_frame,

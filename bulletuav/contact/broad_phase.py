@@ -3,6 +3,8 @@
 A pair is given by the indices of its two shapes, see `Scenery`.
 """
 
+import math
+
 import numpy as np
 
 from bulletuav.compiled.kernel import allocating, func
@@ -218,6 +220,9 @@ def are_swept_bounds_apart(
             move[2] - remaining * drift[2],
         )
         turn = quat4(scenery.quaternion, w, k)
+        # In the axes at the beginning of the substep, to which a body has turned at most this far
+        spin = vec3(scenery.spin, w, k)
+        margin += math.sqrt(dot(spin, spin)) * dt * table.radius[b]
         return _is_sweep_clear_of_box(table.centre[b], table.half[b], margin, turn, before, change)
     p = b - scenery.first_piece
     city_grid = scenery.city_grid

@@ -14,6 +14,7 @@ from bulletuav.contact.manifold import ContactWorkspace, ContactWorld, add_conta
 from bulletuav.contact.motion import (
     MAX_IMPACTS,
     clamp_motion,
+    compute_path_displacement,
     compute_path_rates,
     is_at_impact_limit,
     read_vec3,
@@ -76,8 +77,8 @@ def compute_carried_displacement(
                 return displacement
     for p in range(num_pairs):
         if space.motions[pairs[p].a].in_island and may_touch(pairs[p], time):
-            displacement, _ = compute_path_rates(
-                world.scenery, space.motions, world.w, pairs[p].b, world.dt
+            displacement = compute_path_displacement(
+                world.scenery, space.motions, world.w, pairs[p].b, pairs[p].a, world.dt
             )
             if pairs[p].b >= world.scenery.first_body and displacement != still:
                 return displacement

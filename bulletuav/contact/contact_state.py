@@ -52,7 +52,7 @@ class ContactState(NamedTuple):
         stopped: (W, N) bool, drones that stopped in this decision.
         changed: (W, N) bool, drones whose state the last substep changed.
         touches: Contacts of this decision.
-        speed: (W,) speed of the fastest obstacle in this decision, m/s.
+        speed: (W,) speed of the fastest point of any obstacle in this decision, m/s.
         before: (W, K, 3) positions of the task's obstacles at the beginning of the decision, m.
         after: (W, K, 3) positions of the task's obstacles at the end of the decision, m.
         memory: Contact cache: impulses of the last substep.
@@ -172,9 +172,10 @@ def wake_near_obstacles(contact: ContactState, world: ContactWorld) -> None:
             continue
         here = vec3(contact.start.position, w, i)
         near = scenery.table.radius[i] + 2.0 * world.obstacle_displacement + WAKE_DISTANCE
-        for k in range(contact.before.shape[1]):
-            drift = vec3(scenery.velocity, w, k)
-            if dot(drift, drift) > 0.0 and bound_body_distance(scenery, w, k, here) < near:
+        for k in range(scenery.place.shape[1]):
+            drift, spin = vec3(scenery.velocity, w, k), vec3(scenery.spin, w, k)
+            moves = dot(drift, drift) > 0.0 or dot(spin, spin) > 0.0
+            if moves and bound_body_distance(scenery, w, k, here) < near:
                 wake_drone(contact, w, i)
 
 

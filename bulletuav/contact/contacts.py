@@ -10,6 +10,7 @@ from bulletuav.contact.contact_state import ContactState, wake_near_obstacles
 from bulletuav.contact.impact import record_overlap
 from bulletuav.contact.manifold import ContactWorld
 from bulletuav.contact.motion_bounds import update_budgets
+from bulletuav.contact.moving_bodies import bound_body_motion, place_world_bodies
 from bulletuav.contact.sleeping import update_sleep
 from bulletuav.contact.sorting import sort_drones
 from bulletuav.contact.substep import find_pairs, resolve_contacts
@@ -40,7 +41,7 @@ def save_start_state(contact: ContactState, swarm: Swarm, w: int) -> None:
 
 @func
 def place_world_obstacles(contact: ContactState, w: int, substep: int, step: TimeStep) -> None:
-    """Set the obstacles of a world to their positions at the beginning of a substep.
+    """Set the obstacles and bodies of a world to their poses at the beginning of a substep.
 
     Args:
         contact: State of all contacts; its scenery is written.
@@ -54,6 +55,8 @@ def place_world_obstacles(contact: ContactState, w: int, substep: int, step: Tim
             change = contact.after[w, k, m] - contact.before[w, k, m]
             contact.scenery.place[w, k, m] = contact.before[w, k, m] + fraction * change
             contact.scenery.velocity[w, k, m] = change / period
+    later = (substep + 1) / step.substeps
+    place_world_bodies(contact.scenery, w, fraction, later, step.dt)
 
 
 @kernel
@@ -188,7 +191,8 @@ def start_decision(contact: ContactState, alive: np.ndarray, period: float) -> N
             displacement = minus(end, begin)
             square = max(square, dot(displacement, displacement))
             jumped = jumped or vec3(contact.scenery.place, w, k) != begin
-        contact.speed[w] = math.sqrt(square) / period
+        fastest = max(math.sqrt(square), bound_body_motion(contact.scenery.bodies, w))
+        contact.speed[w] = fastest / period
         if jumped:
             for i in range(alive.shape[1]):
                 contact.budget[w, i] = -1.0

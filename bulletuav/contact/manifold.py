@@ -29,7 +29,7 @@ from bulletuav.contact.warm_start import ContactCache
 from bulletuav.geometry.contact_points import MAX_POINTS, contact_points
 from bulletuav.geometry.gjk import make_scratch
 from bulletuav.geometry.normal_refinement import refine_normal
-from bulletuav.geometry.rotation import Vec3, axes, dot, minus
+from bulletuav.geometry.rotation import Vec3, axes, cross, dot, minus, plus
 from bulletuav.geometry.scenery import Scenery
 from bulletuav.geometry.shapes import CYLINDER, SPHERE
 from bulletuav.vehicle.airframe import STANDARD_GRAVITY
@@ -183,9 +183,10 @@ def get_surface_coefficients(world: ContactWorld, shape: int) -> tuple[float, fl
     return world.friction, world.restitution
 
 
-PairSurface = tuple[int, int, Vec3, float, float, float, Vec3, Vec3]
-"""Surface properties of a pair: a; b or -1; velocity of b if static; friction; restitution; tipping
-damping; resistance to rolling of a and b and to rotation about the normal; rolling axis of b.
+PairSurface = tuple[int, int, Vec3, Vec3, float, float, float, Vec3, Vec3]
+"""Surface properties of a pair: a; b or -1; velocity and spin of b if no drone; friction;
+restitution; tipping damping; resistance to rolling of a and b and to rotation about the normal;
+rolling axis of b.
 """
 
 
@@ -206,6 +207,7 @@ def compute_pair_surface(
     scenery = world.scenery
     table = scenery.table
     velocity_b = (0.0, 0.0, 0.0)
+    spin_b = (0.0, 0.0, 0.0)
     other = -1
     resist_b = 0.0
     axis_b = (0.0, 0.0, 0.0)
@@ -217,8 +219,9 @@ def compute_pair_surface(
             ROLLING_RESISTANCE * table.half[b, 0] if _has_rolling_resistance(table.kind[b]) else 0.0
         )
     else:
-        move, _ = compute_path_rates(scenery, space.motions, world.w, b, world.dt)
+        move, turn = compute_path_rates(scenery, space.motions, world.w, b, world.dt)
         velocity_b = (move[0] / world.dt, move[1] / world.dt, move[2] / world.dt)
+        spin_b = (turn[0] / world.dt, turn[1] / world.dt, turn[2] / world.dt)
     resist_a = (
         ROLLING_RESISTANCE * table.half[a, 0] if _has_rolling_resistance(table.kind[a]) else 0.0
     )
@@ -233,6 +236,7 @@ def compute_pair_surface(
         a,
         other,
         velocity_b,
+        spin_b,
         math.sqrt(friction_a * friction_b),
         math.sqrt(restitution_a * restitution_b),
         TIPPING_DAMPING * radius * math.sqrt(radius / STANDARD_GRAVITY),
@@ -261,7 +265,9 @@ def fill_constraint(motions: np.ndarray, point: np.record, surface: PairSurface)
 
     The normal and the arms must be set.
     """
-    a, b, velocity_b, friction, restitution, damping, resist, axis_b = surface
+    a, b, velocity_b, spin_b, friction, restitution, damping, resist, axis_b = surface
+    if spin_b != (0.0, 0.0, 0.0):
+        velocity_b = plus(velocity_b, 1.0, cross(spin_b, read_vec3(point.arm_b)))
     point.a = a
     point.b = b
     write_vec3(point.obstacle_velocity, velocity_b)

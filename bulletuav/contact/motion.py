@@ -22,6 +22,7 @@ from bulletuav.geometry.rotation import (
     Quat4,
     Vec3,
     Vec3Like,
+    cross,
     dot,
     minus,
     normalise_quaternion,
@@ -300,6 +301,9 @@ def interpolate_pose(
         k = shape - scenery.first_body
         turn = quat4(scenery.quaternion, w, k)
         velocity = vec3(scenery.velocity, w, k)
+        spin = vec3(scenery.spin, w, k)
+        if spin != (0.0, 0.0, 0.0):
+            turn = rotate_by_fraction(spin, time * dt, turn)
         return plus(vec3(scenery.place, w, k), time * dt, velocity), turn
     if shape < scenery.ground:
         return point(scenery.piece_place, shape - scenery.first_piece), level
@@ -326,6 +330,24 @@ def compute_path_rates(
             still, scale, read_vec3(motion.rotation)
         )
     if shape < scenery.first_piece:
-        velocity = vec3(scenery.velocity, w, shape - scenery.first_body)
-        return plus(still, dt, velocity), still
+        k = shape - scenery.first_body
+        velocity, turning = vec3(scenery.velocity, w, k), vec3(scenery.spin, w, k)
+        return plus(still, dt, velocity), plus(still, dt, turning)
     return still, still
+
+
+@func
+def compute_path_displacement(
+    scenery: Scenery, motions: np.ndarray, w: int, shape: int, rider: int, dt: float
+) -> Vec3:
+    """Return the displacement of a shape at the position of a drone `rider`, per whole substep, m.
+
+    That is the displacement of the point of a turning body which carries the drone.
+    """
+    move, turn = compute_path_rates(scenery, motions, w, shape, dt)
+    if shape < scenery.first_body or turn == (0.0, 0.0, 0.0):
+        return move
+    arm = minus(
+        read_vec3(motions[rider].position), vec3(scenery.place, w, shape - scenery.first_body)
+    )
+    return plus(move, 1.0, cross(turn, arm))

@@ -20,6 +20,7 @@ from bulletuav.contact.impact import apply_forces, resolve_impact
 from bulletuav.contact.islands import add_to_island
 from bulletuav.contact.manifold import ContactWorkspace, ContactWorld
 from bulletuav.contact.motion import (
+    compute_path_displacement,
     compute_path_rates,
     get_segment_end,
     is_at_impact_limit,
@@ -64,7 +65,7 @@ def _is_pair_finished(space: ContactWorkspace, world: ContactWorld, pair: np.rec
     if world.stops:
         return True
     move_a, _ = compute_path_rates(world.scenery, motions, world.w, pair.a, world.dt)
-    move_b, _ = compute_path_rates(world.scenery, motions, world.w, pair.b, world.dt)
+    move_b = compute_path_displacement(world.scenery, motions, world.w, pair.b, pair.a, world.dt)
     relative = minus(move_a, move_b)
     is_carried = pair.b >= motions.shape[0] and move_a != (0.0, 0.0, 0.0)
     return is_carried or dot(relative, relative) < CONTACT_DISTANCE * CONTACT_DISTANCE

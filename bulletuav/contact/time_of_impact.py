@@ -147,7 +147,8 @@ def find_time_of_impact(
     move = minus(move_a, move_b)
     radii = scenery.table.radius[a], scenery.table.radius[b]
     rotates = turn_a != (0.0, 0.0, 0.0) or turn_b != (0.0, 0.0, 0.0)
-    uses_rotating_planes = b < motions.shape[0] and rotates
+    is_turning = b < motions.shape[0] or turn_b != (0.0, 0.0, 0.0)
+    uses_rotating_planes = is_turning and rotates
     end = min(get_segment_end(scenery, motions, a), get_segment_end(scenery, motions, b))
     time = start
     normal = guess

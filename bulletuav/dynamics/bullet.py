@@ -192,6 +192,7 @@ class BulletDynamics(Dynamics):
         engine, (swarm, alive, _), step = self.flight.engine, decision.drones, decision.step
         before, after = self.contact.before, self.contact.after
         turns = engine.scenery.quaternion[:, : before.shape[1]]
+        has_bodies = len(engine.scenery.bodies.reach) > 0
         moving, flying = bool((before != after).any()), np.any(alive, axis=1)
         self._scratch.driven[:] = alive
         touched = []
@@ -200,6 +201,9 @@ class BulletDynamics(Dynamics):
             if moving:
                 share = (piece + 1) / step.substeps
                 engine.set_obstacles(before + share * (after - before), turns, flying)
+            if has_bodies:
+                place_obstacles(self.contact, piece + 1, step)
+                engine.show_obstacles()
             self._advance_once(decision)
             touched.append(engine.contacts(swarm, step.dt))
         # One list of contacts for the whole decision

@@ -1,7 +1,7 @@
 """Table of an engine's bodies: which drone, obstacle or building each Bullet body represents."""
 
 import warnings
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from functools import cached_property
 from typing import NamedTuple
 
@@ -57,12 +57,16 @@ class AddedPiece(NamedTuple):
         colour: Red, green, blue and opacity, from 0 to 1.
         poses: Position (3,) in Bullet's frame, m, and quaternion (4,) of each copy.
         other: Index of the body in contacts, as `other` in `Contacts`.
+        worlds: World of each copy.
+        is_static: Whether the body never moves.
     """
 
     shape: Shape
     colour: Colour
     poses: Sequence[Pose]
     other: int
+    worlds: np.ndarray
+    is_static: bool
 
 
 class BodyTable:
@@ -73,6 +77,7 @@ class BodyTable:
         ground: The plane z = 0 that drones and rays collide with.
         drone: (W, N) bodies of the drones.
         layouts: Bodies of the city layouts.
+        added: Bodies of each piece of the bodies that users add.
     """
 
     def __init__(self, client: int, contents: Contents, at_once: bool) -> None:
@@ -109,7 +114,7 @@ class BodyTable:
         if at_once:
             self.obstacle  # noqa: B018
             self.layouts.make()
-        self._added: list[int] = []
+        self.added: list[np.ndarray] = []
         # Number of unknown bodies at the last warning.
         self._strangers = 0
         # World and index of the drone of each body.
@@ -131,23 +136,16 @@ class BodyTable:
         bodies_of = np.array(made, dtype=np.int32).reshape(len(made), len(self._offset))
         return bodies_of.T.copy()
 
-    def add(self, shape: Shape, colour: Colour, poses: Iterable[Pose], other: int) -> None:
-        """Create a piece of a static body in each world.
-
-        Args:
-            shape: Shape of the piece.
-            colour: Red, green, blue and opacity, from 0 to 1.
-            poses: Position (3,) in Bullet's frame, m, and quaternion (4,) of each copy.
-            other: Index of the body in contacts, as `other` in `Contacts`.
-        """
-        made = make_solids(self._client, shape, colour, poses)
-        self._added += made
-        self._other_of_body |= dict.fromkeys(made, other)
+    def add(self, piece: AddedPiece) -> None:
+        """Create the copies of a piece of a body."""
+        made = make_solids(self._client, piece.shape, piece.colour, piece.poses)
+        self.added.append(np.array(made, dtype=np.int32))
+        self._other_of_body |= dict.fromkeys(made, piece.other)
 
     def warn_of_strangers(self) -> None:
         """Warn about new bodies that were created in the client without `add_body`."""
         of_layouts = len(self.layouts.numbers) + self.layouts.num_facades
-        made_later = self._made_later + of_layouts + len(self._added)
+        made_later = self._made_later + of_layouts + sum(map(len, self.added))
         known = self._num_bodies + made_later
         strangers = bullet.getNumBodies(self._client) - known
         if strangers > self._strangers:
@@ -194,11 +192,12 @@ class BodyTable:
             is for pixels without a body (-1).
         """
         obstacles = self.obstacle.ravel().tolist()
-        last = max([self._num_bodies - 1, *self._added, *obstacles])
+        added = [number for numbers in self.added for number in numbers.tolist()]
+        last = max([self._num_bodies - 1, *added, *obstacles])
         label = np.full(last + 3, BUILDING, dtype=np.uint8)
         label[self.drone] = DRONE
         label[self.obstacle] = OBSTACLE
-        label[self._added] = OBSTACLE
+        label[added] = OBSTACLE
         label[self.floor] = LAND
         label[-1] = SKY
         return label

@@ -14,8 +14,9 @@ from functools import cached_property
 import numpy as np
 
 from bulletuav.compiled.program import Program
+from bulletuav.engine.bodies import Colour
 from bulletuav.engine.body_source import BodySource, check_pose, pieces_of
-from bulletuav.engine.body_table import AddedPiece, Contents
+from bulletuav.engine.body_table import IN_ROW, SPREAD, AddedPiece, Contents
 from bulletuav.engine.c_extension import (
     NO_SESSION,
     CExtension,
@@ -27,14 +28,15 @@ from bulletuav.engine.calls import DRONE_GROUP, SOLID, EngineCalls, bullet
 from bulletuav.engine.client import disconnect
 from bulletuav.engine.drones import require_loadable
 from bulletuav.engine.in_bullet import InBullet, make_in_bullet
-from bulletuav.engine.parking import parking_places
+from bulletuav.engine.parking import PARKING_HEIGHT, parking_places
 from bulletuav.engine.queries import EngineQueries
 from bulletuav.engine.tiles import globalise, localise, tile_offset
 from bulletuav.engine.visual_scene import ScenePoses
 from bulletuav.errors import find_choice, finite
 from bulletuav.geometry.obstacle import MAX_FRICTION, Obstacle
-from bulletuav.geometry.rotation import product, to_world
-from bulletuav.geometry.scenery import NOWHERE, Scenery, add_pieces
+from bulletuav.geometry.scenery import NOWHERE, Scenery, place_body
+from bulletuav.geometry.scenery import add_body as add_body_to_scenery
+from bulletuav.geometry.shapes import Shape
 from bulletuav.geometry.solids import Solids
 from bulletuav.vehicle.airframe import Airframe
 from bulletuav.vehicle.swarm import FIRST_OBSTACLE, Swarm
@@ -151,7 +153,8 @@ class Engine(EngineQueries):
         if self._has_placed_obstacles:
             self._move_obstacles(made, np.ones(self.shape[0], dtype=bool))
         for added in self._added_pieces:
-            made.bodies.add(*added)
+            made.bodies.add(added)
+        self._move_bodies(made)
         return made
 
     @property
@@ -164,6 +167,11 @@ class Engine(EngineQueries):
         """Drones, obstacles and city layouts of the worlds, without added bodies."""
         return self._contents
 
+    @property
+    def added_shapes(self) -> tuple[tuple[Shape, Colour], ...]:
+        """Shape and colour of each piece of the added bodies."""
+        return tuple((piece.shape, piece.colour) for piece in self._added_pieces)
+
     def scene_poses(self, swarm: Swarm) -> ScenePoses:
         """Return a copy of the poses of all bodies in pictures, with the drones' from a swarm."""
         return ScenePoses(
@@ -172,7 +180,7 @@ class Engine(EngineQueries):
             self._scenery.place.copy(),
             self._scenery.quaternion.copy(),
             self.city_grid.layout.copy(),
-            tuple((piece.shape, piece.colour) for piece in self._added_pieces),
+            self.added_shapes,
         )
 
     @property
@@ -255,9 +263,10 @@ class Engine(EngineQueries):
         return self._live or self._contacts or not self._compiled
 
     def show_obstacles(self) -> None:
-        """Move the obstacles' bodies to the poses in the scenery."""
+        """Move the bodies of obstacles and of added bodies to the poses in the scenery."""
         if self.obstacle_radius.size:
             self._move_obstacles(self._bullet, np.ones(self.shape[0], dtype=bool))
+        self._move_bodies(self._bullet)
 
     def _move_obstacles(self, made: InBullet, worlds: np.ndarray) -> None:
         """Move the obstacles' bodies in the worlds of `worlds` (W,) to the poses in the scenery."""
@@ -265,6 +274,27 @@ class Engine(EngineQueries):
         place = (self._scenery.place[:, :count] + self._offset)[worlds].reshape(-1, 3)
         turn = self._scenery.quaternion[:, :count][worlds].reshape(-1, 4)
         made.calls.pose(made.bodies.obstacle[worlds].ravel(), place, turn)
+
+    def _move_bodies(self, made: InBullet) -> None:
+        """Move added bodies that can move to the poses in the scenery."""
+        first = self.obstacle_radius.size
+        for p, (added, numbers) in enumerate(
+            zip(self._added_pieces, made.bodies.added, strict=True)
+        ):
+            if not added.is_static:
+                place = self._scenery.place[added.worlds, first + p].copy()
+                gone = place[:, 2] == NOWHERE
+                place[gone] = (SPREAD * (p % IN_ROW), SPREAD * (p // IN_ROW), -2 * PARKING_HEIGHT)
+                turn = self._scenery.quaternion[added.worlds, first + p]
+                made.calls.pose(numbers, place + self._offset[added.worlds, 0], turn)
+
+    def place_bodies(self, worlds: Sequence[int]) -> None:
+        """Move the pieces of added bodies of worlds to the poses in `scenery.bodies`."""
+        for w in worlds:
+            for b in range(len(self._scenery.bodies.reach)):
+                place_body(self._scenery, w, b)
+        if self._is_made:
+            self._move_bodies(self._bullet)
 
     def add_body(
         self,
@@ -275,10 +305,13 @@ class Engine(EngineQueries):
         friction: float | None = None,
         restitution: float | None = None,
         check: Callable[[Scenery], None] | None = None,
+        is_static: bool = True,
     ) -> int:
-        """Add a static body permanently; see `Aviary.add_body`.
+        """Add a body; see `Aviary.add_body`.
 
         `check` is called with the new scenery, and may raise an error before anything has changed.
+        A body that is not static moves by its velocities in `scenery.bodies`, or to another pose
+        that is written there before `place_bodies`.
         """
         place, turn = check_pose(position, quaternion)
         pieces = pieces_of(source)
@@ -290,16 +323,13 @@ class Engine(EngineQueries):
         restitution = finite("restitution", restitution, 0, 1)
         worlds = np.arange(self.shape[0]) if world is None else np.array([world])
         other = FIRST_OBSTACLE - self.obstacle_radius.size - self._num_added
-        # Pose of each piece in its world: that of the body, times that of the piece in the body.
-        places = np.full((self.shape[0], len(pieces), 3), NOWHERE)
-        turns = np.tile([0.0, 0.0, 0.0, 1.0], (*places.shape[:2], 1))
-        for p, piece in enumerate(pieces):
-            places[worlds, p] = place + to_world(turn, piece.place)
-            turns[worlds, p] = product(turn, piece.quaternion)
-        scenery = add_pieces(
+        shape = (self.shape[0], 1)
+        places, turns = np.full((self.shape[0], 3), NOWHERE), np.tile(turn, shape)
+        places[worlds] = place
+        scenery = add_body_to_scenery(
             self._scenery,
-            [piece.shape for piece in pieces],
-            place=places,
+            pieces,
+            position=places,
             quaternion=turns,
             other=other,
             friction=friction,
@@ -307,12 +337,14 @@ class Engine(EngineQueries):
         )
         if check is not None:
             check(scenery)
-        for p, piece in enumerate(pieces):
-            in_bullet = places[worlds, p] + self._offset[worlds, 0]
-            poses = list(zip(in_bullet.tolist(), turns[worlds, p].tolist(), strict=True))
-            added = AddedPiece(piece.shape, like.colour, poses, other)
+        for p, piece in enumerate(pieces, self._scenery.place.shape[1]):
+            in_bullet = scenery.place[worlds, p] + self._offset[worlds, 0]
+            poses = list(
+                zip(in_bullet.tolist(), scenery.quaternion[worlds, p].tolist(), strict=True)
+            )
+            added = AddedPiece(piece.shape, like.colour, poses, other, worlds, is_static)
             if self._is_made:
-                self._bullet.bodies.add(*added)
+                self._bullet.bodies.add(added)
             self._added_pieces.append(added)
         self._scenery = scenery
         self._num_added += 1

@@ -29,6 +29,7 @@ from bulletuav.envs.airspace_inputs import (
 )
 from bulletuav.envs.airspace_simulation import AirspaceSimulation
 from bulletuav.envs.airspace_world import ALL, AirspaceWorld
+from bulletuav.envs.bodies import Body, Motion, check_velocities, set_body
 from bulletuav.envs.descriptions import describe_parts, faces_of
 from bulletuav.envs.environment import Environment, exclusive, in_plain_python
 from bulletuav.envs.marks import drone_marks
@@ -48,13 +49,13 @@ from bulletuav.geometry.rotation import axes, product, to_world
 from bulletuav.geometry.scenery import Scenery
 from bulletuav.geometry.solids import Solids
 from bulletuav.geometry.view import CameraMatrices, Picture, projection_matrix, view_matrix
-from bulletuav.vehicle.swarm import Contacts, Swarm
+from bulletuav.vehicle.swarm import FIRST_OBSTACLE, Contacts, Swarm
 from bulletuav.vehicle.wind import MAX_WIND
 
 UP, NORTH = np.array((0.0, 0.0, 1.0)), np.array((0.0, 1.0, 0.0))
 CHANGES = (
     *("step", "place", "command", "apply", "set_wind"),
-    *("place_obstacle", "add_body", "load_state"),
+    *("place_obstacle", "add_body", "move_body", "remove_body", "load_state"),
 )
 """Methods of an `Airspace` that change its state"""
 ONLY = np.zeros(1, dtype=int)
@@ -241,28 +242,109 @@ class Airspace(Environment):
     def add_body(
         self,
         source: BodySource,
-        position: Sequence[float],
+        position: Sequence[float] | None = None,
         quaternion: Sequence[float] = UPRIGHT,
         friction: float | None = None,
         restitution: float | None = None,
+        *,
+        velocity: Sequence[float] = STILL,
+        angular_velocity: Sequence[float] = STILL,
+        motion: Motion | None = None,
     ) -> int:
-        """Add a static body permanently; see `Aviary.add_body`.
+        """Add a body, which stands still, moves and turns evenly, or follows a function of time.
+
+        Drones do not move the body, whatever they weigh.
+
+        Args:
+            source: Path of a URDF or of an OBJ, corners (V, 3) of a hull in m, or an `Obstacle`.
+            position: (3,) position of the body's origin, m.
+            quaternion: (4,) attitude, body to world.
+            friction: Coefficient of friction. None for that of the obstacle, or 0.5.
+            restitution: Coefficient of restitution. None for that of the obstacle, or 0.
+            velocity: (3,) velocity of the origin, m/s.
+            angular_velocity: (3,) angular velocity about the origin, world axes, rad/s.
+            motion: Function from `time`, s, to the position, m, and the quaternion of the body,
+                instead of these arguments. Between two steps the body moves and turns evenly.
 
         Returns:
-            Identifier of the body in `Contacts.other`.
+            Identifier of the body in `Contacts.other`, for `move_body` and `remove_body`.
 
         Raises:
             ValueError: If the source or a number is invalid, or the body would overlap a drone.
             FileNotFoundError: If there is no such file.
         """
         self._require_open()
+        body = Body(source, position, quaternion, velocity, angular_velocity, motion)
+        pose, velocities = body.start(self.time)
         self.simulation.update_scene()
-        world, pose, surface = self.world, (position, quaternion), (friction, restitution)
+        world, engine, surface = self.world, self.world.engine, (friction, restitution)
 
         def check(scenery: Scenery) -> None:
             world.require_free(world.state.swarm, world.state.alive, scenery)
 
-        return world.engine.add_body(source, *pose, None, *surface, check=check)
+        here, turn = (one.tolist() for one in pose)
+        other = engine.add_body(source, here, turn, None, *surface, check=check, is_static=False)
+        set_body(engine, 0, self._body(other), pose, velocities)
+        if motion is not None:
+            world.motions[self._body(other)] = motion
+        return other
+
+    def _body(self, body: int) -> int:
+        """Return the index in `Scenery.bodies` of a body, given by its identifier."""
+        first = FIRST_OBSTACLE - self.world.state.obstacle.shape[1]
+        count = len(self.world.engine.scenery.bodies.reach)
+        if not count:
+            raise ValueError("there are no bodies: add one by add_body")
+        return int(first - as_int("body", body, first - count + 1, first))
+
+    @exclusive
+    def move_body(
+        self,
+        body: int,
+        position: Sequence[float],
+        quaternion: Sequence[float] = UPRIGHT,
+        velocity: Sequence[float] = STILL,
+        angular_velocity: Sequence[float] = STILL,
+    ) -> None:
+        """Set the pose and the velocities of a body; a removed body returns into the world.
+
+        Args:
+            body: Identifier that `add_body` returned.
+            position: (3,) m.
+            quaternion: (4,) body to world.
+            velocity: (3,) m/s.
+            angular_velocity: (3,) world axes, rad/s.
+
+        Raises:
+            ValueError: If there is no such body, a number is invalid, the body follows a function
+                of time, or the body would overlap a drone.
+        """
+        self._require_open()
+        b = self._body(body)
+        if b in self.world.motions:
+            raise ValueError(
+                f"body {body} follows its function of time: remove it by remove_body first"
+            )
+        pose = check_pose(position, quaternion)
+        velocities = check_velocities(velocity, angular_velocity)
+        self.simulation.update_scene()
+        self.world.move_body(b, pose, velocities)
+
+    @exclusive
+    def remove_body(self, body: int) -> None:
+        """Remove a body from the world; its shape is kept for `move_body`.
+
+        Args:
+            body: Identifier that `add_body` returned.
+
+        Raises:
+            ValueError: If there is no such body.
+        """
+        self._require_open()
+        b = self._body(body)
+        self.simulation.update_scene()
+        self.world.motions.pop(b, None)
+        self.world.remove_body(b)
 
     @exclusive
     def command(
@@ -416,7 +498,7 @@ class Airspace(Environment):
 
     @exclusive
     def save_state(self) -> Snapshot:
-        """Save the complete state, except for which bodies exist; see `Aviary.save_state`."""
+        """Save the complete state, except for which bodies were added; see `Aviary.save_state`."""
         self._require_open()
         require_contacts(self._options.contacts)
         layout, world = self._layout(), self.world
@@ -428,7 +510,8 @@ class Airspace(Environment):
     def load_state(self, snapshot: Snapshot) -> None:
         """Restore a state that was saved here, or in an airspace made from the same options.
 
-        Obstacles return to their saved poses. Added bodies have to be the same.
+        Obstacles and bodies return to their saved poses. The same bodies have to be added, in the
+        same order; the function of time that a body follows is not saved.
 
         Args:
             snapshot: Result of `save_state`.
@@ -448,6 +531,7 @@ class Airspace(Environment):
         self._turns = bool(world.state.yaw_rate.any())
         world.uncertainty.restore(ONLY)
         world.set_obstacles()
+        world.engine.place_bodies([0])
         world.dynamics.restore(world.state.swarm, world.state.alive)
 
     @exclusive

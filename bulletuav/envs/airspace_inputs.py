@@ -68,6 +68,7 @@ TASK_OPTIONS = (
     "preset",
     "battery_capacity",
     "energy",
+    "bodies",
 )
 """Options that apply to tasks only"""
 

@@ -10,8 +10,9 @@ from bulletuav.contact.time_of_impact import CONTACT_DISTANCE
 from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.engine.parking import PARKING_HEIGHT
 from bulletuav.envs.airspace_inputs import UPRIGHT, YAW
+from bulletuav.envs.bodies import Motion, follow_motion, park_body, set_body
 from bulletuav.envs.options import EnvOptions
-from bulletuav.envs.parts import Parts, sensor_setup
+from bulletuav.envs.parts import BODY_BOUNDS, Parts, sensor_setup
 from bulletuav.envs.snapshot import Bounds, contact_bounds, state_bounds
 from bulletuav.envs.state import STATE, AirspaceState, Sizes, with_prefix
 from bulletuav.geometry.obstacle import Obstacle
@@ -32,6 +33,7 @@ class AirspaceWorld(Parts):
         state: All arrays.
         readings: Last sensor readings, arrays (N, ...) by name; new arrays in each step.
         rng: Random generator, in a list as sensors need it.
+        motions: Functions of time that bodies follow, by index of the body.
     """
 
     def __init__(
@@ -62,6 +64,7 @@ class AirspaceWorld(Parts):
         state.obstacle[..., 2] = -PARKING_HEIGHT
         state.obstacle_turn[:] = UPRIGHT
         self.readings = {}
+        self.motions: dict[int, Motion] = {}
         self.rng = [np.random.default_rng(options.seed)]
         if layouts:
             self.engine.set_layouts(np.zeros(1, dtype=int), ALL)
@@ -89,6 +92,40 @@ class AirspaceWorld(Parts):
         self.set_obstacles()
         # Cached contact pairs are stale
         replace_scenery(self.dynamics.contact, scenery)
+
+    def move_body(
+        self,
+        b: int,
+        pose: tuple[np.ndarray, np.ndarray],
+        velocities: tuple[np.ndarray, np.ndarray],
+    ) -> None:
+        """Set the pose and the velocities of a body.
+
+        Raises:
+            ValueError: If the body would overlap a drone; the state is unchanged.
+        """
+        state, engine, bodies = self.state, self.engine, self.engine.scenery.bodies
+        before = [array[0, b].copy() for array in bodies[:4]]
+        set_body(engine, 0, b, pose, velocities)
+        try:
+            self.require_free(state.swarm, state.alive, engine.scenery)
+        except ValueError:
+            set_body(engine, 0, b, (before[0], before[1]), (before[2], before[3]))
+            raise
+        # Cached contact pairs are stale
+        replace_scenery(self.dynamics.contact, engine.scenery)
+
+    def remove_body(self, b: int) -> None:
+        """Remove a body from the world."""
+        park_body(self.engine, 0, b)
+        replace_scenery(self.dynamics.contact, self.engine.scenery)
+
+    def follow_motions(self) -> None:
+        """Set the velocities of bodies that follow functions, up to the end of the next step."""
+        hz = float(self.options.decision_hz)
+        later = (int(self.state.steps[0]) + 1) / hz
+        for b, motion in self.motions.items():
+            follow_motion(self.engine, 0, b, motion, later, 1 / hz)
 
     def max_rotor_speed(self, rows: Any) -> np.ndarray:
         """Return the maximum speeds (M, R) of rotors, rad/s; 0 for rotors that a drone lacks."""
@@ -187,6 +224,7 @@ class AirspaceWorld(Parts):
             "torque": self.dynamics.torque,
             "parameters": self.parameters,
             "controller": self.cascade.memory,
+            **self.body_arrays(),
         }
 
     def last_arrays(self) -> dict[str, np.ndarray]:
@@ -206,6 +244,7 @@ class AirspaceWorld(Parts):
             "levels": (0, int(self.dynamics.consumes)),
             **self.sensors.kept_bounds(),
             **contact_bounds(self.engine.scenery),
+            **BODY_BOUNDS,
         }
 
 

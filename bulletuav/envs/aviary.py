@@ -313,6 +313,7 @@ class Aviary(Environment):
         self.require_started()
         self.simulation.start.complete_account()
         require_contacts(self.options.contacts)
+        self.worlds.bodies.require_saveable()
         layout = self.worlds.layout(self._of, self._own_parts())
         chosen = self._spec.indices(worlds)
         mask = np.zeros(self.num_worlds, dtype=bool)
@@ -353,6 +354,7 @@ class Aviary(Environment):
         parts.uncertainty.restore(chosen)
         parts.engine.set_layouts(self.scene.layout, mask)
         parts.place_obstacles(mask)
+        parts.bodies.restore(chosen.tolist())
         parts.dynamics.restore(self.swarm, drones)
         gone = mask[:, None] & ~self.alive
         if gone.any():

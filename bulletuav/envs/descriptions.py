@@ -13,6 +13,7 @@ from typing import Any, cast
 import numpy as np
 
 from bulletuav.city.model import City
+from bulletuav.envs.bodies import describe_bodies
 from bulletuav.envs.options import EnvOptions
 from bulletuav.geometry.solids import Solids
 from bulletuav.network.mobility.base import Mobility
@@ -65,6 +66,7 @@ def describe_options(options: EnvOptions, config: Any) -> dict[str, Any]:
         "airframe": [airframe.name for airframe in options.airframe],
         "wind": "function" if callable(options.wind) else options.wind,
         "randomization": random,
+        "bodies": describe_bodies(options.bodies),
         "dynamics": options.dynamics_name,
         "observation": observed and [observation_name(one) for one in observed],
         "sensors": [find_sensor(one).name for one in options.sensors],

@@ -9,6 +9,7 @@ import numpy as np
 from bulletuav.control.actions import Action, ActionContext, make_action
 from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.dynamics import find_dynamics
+from bulletuav.envs.bodies import count_bodies
 from bulletuav.envs.global_state import GlobalState
 from bulletuav.envs.options import EnvOptions, check_names
 from bulletuav.envs.parts import sensor_setup
@@ -220,7 +221,8 @@ class EnvSpec:
         others = drones if {"neighbours", "all_neighbours"} & self._names else 0
         pictures *= 1 + self.options.frame_stack
         observed = 2 * self.observer.low.size + pictures + 3 * others + 2 * task.num_targets
-        things = OBSTACLE_BYTES * len(task.obstacles()) + LAYOUT_BYTES * len(task.layouts())
+        obstacles = len(task.obstacles()) + count_bodies(self.options.bodies)
+        things = OBSTACLE_BYTES * obstacles + LAYOUT_BYTES * len(task.layouts())
         return (BODY_BYTES + NUMBER_BYTES * observed) * drones + self.state_bytes() + things
 
     def state_bytes(self) -> int:

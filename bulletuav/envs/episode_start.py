@@ -11,6 +11,7 @@ from bulletuav.envs.snapshot import UNSTARTED
 from bulletuav.envs.stages.fly import add_decision_count
 from bulletuav.envs.stages.keep_before import keep_before
 from bulletuav.envs.stages.separate import Separate
+from bulletuav.envs.world_bodies import MAX_TRIES, Slots
 from bulletuav.envs.worlds import Worlds
 from bulletuav.tasks.base import Task
 from bulletuav.tasks.frame import FIELDS, Spawn
@@ -59,6 +60,7 @@ class EpisodeStart:
         self._charge = np.ones(state.alive.shape)  # of the worlds that start, first rows
         self._start: Program | None = None
         self._update: _AccountUpdate | None = None
+        self._slots: list[Slots] = []
         self.by_world_programs: tuple[ByWorld, ByWorld] | None = None
         self.is_account_complete = True
 
@@ -103,6 +105,40 @@ class EpisodeStart:
         self.starts.store(spawns)
         for row, one in zip(self._charge, given, strict=False):
             row[:] = 1.0 if one.charge is None else one.charge
+        self._slots = []
+        if self._worlds.bodies.count:
+            self._draw_bodies(spawns, generators, given)
+
+    def _draw_bodies(
+        self,
+        spawns: list[Spawn],
+        generators: list[np.random.Generator],
+        given: Sequence[GivenStart],
+    ) -> None:
+        """Draw the bodies of each world, and its start again while that is in a body.
+
+        Raises:
+            ValueError: If a drawn body is invalid, or starts stay in bodies.
+        """
+        task, bodies, rows = self._worlds.task, self._worlds.bodies, self.starts.rows
+        for k, rng in enumerate(generators):
+            for _ in range(MAX_TRIES):
+                slots = bodies.draw(rng)
+                places = (rows["position"][k], rows["quaternion"][k])
+                goal = rows["goal"][k] if task.has_goals else None
+                blocked = bodies.find_blocked(slots, *places, goal)
+                if not blocked:
+                    break
+                (spawn,) = task.spawn_many([rng])
+                start = task.finish(spawn, given[k].positions, rng)
+                spawns[k] = given[k].motion.apply_to(start)
+                self.starts.store(spawns)
+            else:
+                raise ValueError(
+                    f"bodies: {blocked} is in a body, in each of {MAX_TRIES} draws: keep the "
+                    f"bodies clear of starts and goals"
+                )
+            self._slots.append(slots)
 
     def write(
         self, fresh: np.ndarray, indices: list[int], generators: list[np.random.Generator]
@@ -241,6 +277,8 @@ class EpisodeStart:
         self._worlds.engine.set_layouts(scene.layout, self._fresh)
         if scene.obstacle.size:
             self._worlds.place_obstacles(self._fresh)
+        for k, slots in zip(self._fresh_indices, self._slots, strict=False):
+            self._worlds.bodies.place(k, slots, self._worlds.dynamics.contact)
 
     def _keep_contacts(self) -> None:
         """Keep contacts of the other worlds if only Python has collected them."""

@@ -10,6 +10,7 @@ from bulletuav.control.cascade import CONTROLLERS, PID_LEVELS
 from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.dynamics import DEFAULT_DYNAMICS, find_dynamics
 from bulletuav.engine.engine import RAY_METHODS
+from bulletuav.envs.bodies import BodiesOption, as_bodies
 from bulletuav.envs.randomization import CERTAIN, Randomization
 from bulletuav.envs.rates import MAX_HZ, decision_rate, picture_rate
 from bulletuav.envs.viewer import DEFAULT_ADDRESS, VIEWERS, parse_address
@@ -150,6 +151,10 @@ class EnvOptions:
         friction: Coefficient of friction of the ground and of buildings.
         restitution: Coefficient of restitution of the ground and of buildings. For two surfaces the
             geometric mean of their coefficients applies.
+        bodies: Bodies in each world beside those of the task: a list of
+            `bulletuav.envs.bodies.Body`, or of dicts of its attributes; or a function from the
+            random generator of a world to such a list, called at each reset, or a
+            `bulletuav.envs.bodies.DrawnBodies`.
         debug: Whether compiled functions run as plain Python, with the same results, some hundred
             times slower: for breakpoints, prints and coverage.
     """
@@ -201,6 +206,7 @@ class EnvOptions:
     contacts: str | None = None
     friction: float = 0.5
     restitution: float = 0.0
+    bodies: BodiesOption = ()
     debug: bool = False
 
     def __post_init__(self) -> None:
@@ -235,6 +241,7 @@ class EnvOptions:
         check_names("effects", "effect", self.effects, EFFECTS)
         for name in ("normalise", "integral", "debug"):
             as_bool(name, getattr(self, name))
+        self._keep("bodies", as_bodies(self.bodies))
         self._check_reward()
         self._check_sensors()
         self._check_cameras()

@@ -8,16 +8,19 @@ import numpy as np
 
 from bulletuav.compiled.kernel import kernel
 from bulletuav.compiled.program import Program
+from bulletuav.contact.moving_bodies import finish_bodies
 from bulletuav.control.cascade import Cascade
 from bulletuav.control.gains import gain_rows
 from bulletuav.dynamics import find_dynamics
 from bulletuav.dynamics.base import Dynamics, FlightSetup
+from bulletuav.engine.body_source import UNIT
 from bulletuav.engine.engine import Engine
+from bulletuav.envs.bodies import MAX_SPEED, MAX_SPIN
 from bulletuav.envs.options import EnvOptions
 from bulletuav.envs.randomization import Uncertainty
 from bulletuav.envs.renderer import Renderer
 from bulletuav.envs.snapshot import BODIES, Bounds, SnapshotLayout
-from bulletuav.geometry.obstacle import Obstacle
+from bulletuav.geometry.obstacle import MAX_SIZE, Obstacle
 from bulletuav.geometry.solids import Solids
 from bulletuav.sensors.base import Sensor, SensorSetup
 from bulletuav.sensors.lidar import make_beams
@@ -26,6 +29,16 @@ from bulletuav.sensors.suite import SensorSuite
 from bulletuav.vehicle.parameters import parameter_rows
 from bulletuav.vehicle.swarm import Swarm
 from bulletuav.vehicle.wind import Wind
+
+BODY_STATE = ("position", "quaternion", "velocity", "spin")
+"""Arrays of `Scenery.bodies` that are in snapshots"""
+BODY_BOUNDS: Bounds = {
+    "body position": (-MAX_SIZE, 2 * MAX_SIZE),
+    "body quaternion": (-1.0 - UNIT, 1.0 + UNIT),
+    "body velocity": (-MAX_SPEED, MAX_SPEED),
+    "body spin": (-MAX_SPIN, MAX_SPIN),
+}
+"""Bounds of these arrays in snapshots"""
 
 
 class Parts(ABC):
@@ -97,6 +110,13 @@ class Parts(ABC):
             self._varying = varying
         return self._layout
 
+    def body_arrays(self) -> dict[str, np.ndarray]:
+        """Return the poses and velocities of added bodies, for snapshots; none without bodies."""
+        bodies = self.engine.scenery.bodies
+        if not len(bodies.reach):
+            return {}
+        return {f"body {name}": getattr(bodies, name) for name in BODY_STATE}
+
     @abstractmethod
     def state_arrays(self) -> dict[str, np.ndarray]:
         """Return the arrays (W, ...) by name that are a world's state, whatever flew before."""
@@ -160,11 +180,14 @@ def make_dynamics(options: EnvOptions, engine: Engine) -> Dynamics:
 
 
 def add_obstacles(program: Program, engine: Engine, obstacle: np.ndarray) -> None:
-    """Add to a program that obstacles are moved to (W, K, 3) after a flight, m."""
+    """Add that obstacles are moved to (W, K, 3), m, and bodies to their ends, after a flight."""
     if obstacle.shape[1]:
         program.call(copy_vectors, obstacle, engine.scenery.place)
-        if engine.asks_bodies:
-            program.callback(engine.show_obstacles)
+    has_bodies = len(engine.scenery.bodies.reach) > 0
+    if has_bodies:
+        program.call(finish_bodies, engine.scenery)
+    if engine.asks_bodies and (has_bodies or obstacle.shape[1]):
+        program.callback(engine.show_obstacles)
 
 
 def hover_speeds(options: EnvOptions) -> np.ndarray:

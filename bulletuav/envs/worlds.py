@@ -5,10 +5,11 @@ import numpy as np
 from bulletuav.envs.contact_record import ContactRecord
 from bulletuav.envs.energy import Energy
 from bulletuav.envs.env_spec import EnvSpec
-from bulletuav.envs.parts import Parts
+from bulletuav.envs.parts import BODY_BOUNDS, Parts
 from bulletuav.envs.results import Results
 from bulletuav.envs.snapshot import UNSTARTED, Bounds, contact_bounds, state_bounds
 from bulletuav.envs.state import LAST, STATE, Sizes, State, with_prefix
+from bulletuav.envs.world_bodies import WorldBodies
 from bulletuav.geometry.city_grid import NO_LAYOUT
 from bulletuav.sensors.base import Moment
 from bulletuav.tasks.frame import Frame
@@ -36,6 +37,7 @@ class Worlds(Parts):
         results: Reward terms and infos; created at the first reset.
         vector: (W, N, D) observations of the last decision.
         rng: Random generator of each world.
+        bodies: Bodies of the option `bodies`.
     """
 
     account: FrameMeasures
@@ -57,6 +59,8 @@ class Worlds(Parts):
         self.energy = Energy(options, self.parameters, self.dynamics.supply)
         self.contacts = ContactRecord(self.dynamics)
         self.rng: list[np.random.Generator] = [UNSTARTED] * self.num_worlds
+        self.bodies = WorldBodies(options.bodies, self.engine)
+        self.dynamics.look_around()
         self._make_state(len(obstacles))
 
     def _make_state(self, num_obstacles: int) -> None:
@@ -152,6 +156,7 @@ class Worlds(Parts):
             "parameters": self.parameters,
             "controller": self.cascade.memory,
             "charge": self.energy.readings()["charge"],
+            **self.body_arrays(),
         }
 
     def last_arrays(self) -> dict[str, np.ndarray]:
@@ -173,4 +178,5 @@ class Worlds(Parts):
             **{f"memory {name}": one for name, one in self.task.memory_bounds().items()},
             **self.sensors.kept_bounds(),
             **contact_bounds(self.engine.scenery),
+            **BODY_BOUNDS,
         }

@@ -135,6 +135,42 @@ def measure_clearance(
     return result
 
 
+@kernel
+def find_overlapping(
+    scenery: Scenery,
+    pieces: np.ndarray,
+    position: np.ndarray,
+    quaternion: np.ndarray,
+    scratch: np.ndarray,
+) -> int:
+    """Return the first drone that would overlap a piece of a body in world 0, or -1.
+
+    Args:
+        scenery: Shapes and poses.
+        pieces: (R,) bool, pieces of bodies to check.
+        position: (N, 3) positions of the drones, m.
+        quaternion: (N, 4) attitudes of the drones, body to world.
+        scratch: Scratch array of `gjk.make_scratch`.
+    """
+    table = scenery.table
+    for i in range(position.shape[0]):
+        place = point(position, i)
+        q = quaternion[i]
+        rotation = axes((q[0], q[1], q[2], q[3]))
+        for r in range(pieces.shape[0]):
+            s = scenery.first_body + r
+            offset = minus(vec3(scenery.place, 0, r), place)
+            if not pieces[r] or _is_beyond(offset, table.radius[i] + table.radius[s]):
+                continue
+            turned = axes(quat4(scenery.quaternion, 0, r))
+            distance, _, _, _ = gjk_distance(
+                table, i, rotation, s, turned, offset, NO_GUESS, scratch
+            )
+            if distance < 0.0:
+                return i
+    return -1
+
+
 @func
 def _is_beyond(offset: Vec3Like, radius: float) -> bool:
     """Return True if a point is at least `radius` away, m; always True for 0 or less."""

@@ -91,6 +91,21 @@ class Avoidance(Policy):
         scene = self.aviary.scene
         return scene.obstacle, scene.obstacle_velocity, self.sphere_radius
 
+    def _with_bodies(
+        self, place: np.ndarray, velocity: np.ndarray, radius: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Add the bounding spheres of the bodies of option `bodies` to spheres; see `spheres`."""
+        count = self.aviary.worlds.bodies.count
+        if not count:
+            return place, velocity, radius
+        bodies = self.aviary.worlds.engine.scenery.bodies
+        keep = bodies.reach[:count] + float(self.aviary.task.context.collision_radius) + MARGIN
+        return (
+            np.concatenate([place, bodies.position[:, :count]], axis=1),
+            np.concatenate([velocity, bodies.velocity[:, :count]], axis=1),
+            np.concatenate([radius, keep]),
+        )
+
     def traffic(self, observations: Observation, swarm: Swarm) -> Traffic:
         """Return the traffic around each drone as the drones know it."""
         aviary = self.aviary
@@ -98,7 +113,7 @@ class Avoidance(Policy):
         return true_traffic(
             (swarm.position, swarm.velocity, aviary.alive),
             (scene.goal, scene.goal_velocity),
-            self.spheres(),
+            self._with_bodies(*self.spheres()),
             self.box,
             scene.layout,
             self._buildings,

@@ -205,3 +205,28 @@ def test_damaged_calls_give_one_clear_error(flight, tmp_path, name):
     path.write_text(json.dumps(content), encoding="utf-8")
     with pytest.raises(ValueError, match="fly it again|unknown|pass --trust|option"):
         fly_calls(path, False)
+
+
+def test_bodies_that_come_move_and_go_are_recorded_and_flown_again(tmp_path):
+    airspace = airspace_of()
+    with bulletuav.AirspaceRecorder(airspace) as recorder:
+        airspace.step()
+        ball = airspace.add_body(
+            Obstacle("sphere", (0.5,)), (0.0, 5.0, 1.0), velocity=(4.8, 0.0, 0.0)
+        )
+        airspace.step()
+        airspace.move_body(ball, (0.0, 6.0, 1.0), angular_velocity=(0.0, 0.0, 48.0))
+        airspace.step()
+        airspace.remove_body(ball)
+        airspace.step()
+    recorder.save(tmp_path)
+    recording = load(tmp_path)
+    # Before and after, the ball is shown in the ground below the drones
+    hidden = (1.0, 0.0, -1.0)
+    places = [hidden, hidden, (0.1, 5.0, 1.0), (0.0, 6.0, 1.0), hidden]
+    np.testing.assert_allclose(recording.obstacle[:, 0], places, atol=1e-3)
+    turn = (0.0, 0.0, np.sin(0.5), np.cos(0.5))
+    np.testing.assert_allclose(recording.scene["obstacle_quaternion"][3, 0], turn, atol=1e-12)
+    assert recording.obstacle_radius.tolist() == [0.5]
+    again = fly_calls(tmp_path / "calls.json", trust=False)
+    assert again.hash() == recording.hash()

@@ -35,7 +35,7 @@ def prepare(motions, points, row, surface):
 
 def touches(friction):
     """What a surface is that does not move: see `Surface`."""
-    return (0, -1, STILL, friction, 0.0, 0.0, STILL, (0.0, 0.0, 1.0))
+    return (0, -1, STILL, STILL, friction, 0.0, 0.0, STILL, (0.0, 0.0, 1.0))
 
 
 def tumbling(rng, count):
@@ -157,7 +157,7 @@ def test_passes_together_resist_rolling_no_more_than_the_normal_impulse_allows()
     radius, _, half = found.shape.half
     row = parameter_rows([found], [])[0]
     resist = 0.4 * radius
-    surface = (0, -1, STILL, 0.5, 0.0, 0.0, (resist, 0.0, 0.05 * radius), (0.0, 0.0, 1.0))
+    surface = (0, -1, STILL, STILL, 0.5, 0.0, 0.0, (resist, 0.0, 0.05 * radius), (0.0, 0.0, 1.0))
     again = 0
     for _ in range(HITS):
         motions, points, _ = tumbling(rng, 2)

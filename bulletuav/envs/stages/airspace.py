@@ -6,8 +6,9 @@ import numpy as np
 
 from bulletuav.compiled.kernel import func, kernel
 from bulletuav.compiled.program import Program
+from bulletuav.contact.moving_bodies import start_bodies
 from bulletuav.control.setpoint import Setpoints
-from bulletuav.envs.airspace_world import AirspaceWorld
+from bulletuav.envs.airspace_world import ALL, AirspaceWorld
 from bulletuav.envs.parts import add_obstacles
 from bulletuav.envs.stages.base import Stage
 from bulletuav.geometry.rotation import heading, quat4
@@ -97,7 +98,12 @@ class MoveAndTurn(Stage):
         state, contact = worlds.state, worlds.dynamics.contact
         turning = (state.swarm.quaternion, state.setpoint, state.yaw_rate)
         obstacles = (state.obstacle, state.obstacle_velocity, contact.before, contact.after)
-        program.call(move_and_turn, *turning, 1 / worlds.options.decision_hz, *obstacles)
+        period = 1 / worlds.options.decision_hz
+        program.call(move_and_turn, *turning, period, *obstacles)
+        bodies = worlds.engine.scenery.bodies
+        if len(bodies.reach):
+            program.callback(worlds.follow_motions)
+            program.call(start_bodies, bodies, ALL, period)
 
 
 class FlyCommands(Stage):
