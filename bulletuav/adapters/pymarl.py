@@ -20,6 +20,7 @@ from gymnasium.spaces import Box
 from PIL import Image
 
 from bulletuav.adapters.totals import EpisodeTotals
+from bulletuav.envs.action_masks import STAY
 from bulletuav.envs.aviary import Aviary
 from bulletuav.envs.env_spec import EnvSpec
 from bulletuav.envs.environment import LabelledEnvironment, exclusive
@@ -33,8 +34,6 @@ FLAVOURS = {"epymarl": True, "pymarl": False}
 """Whether `step` returns termination and truncation separately; pymarlzooplus is as PyMARL"""
 SCALARISATIONS: dict[str, Callable[[np.ndarray], Any]] = {"sum": np.sum, "mean": np.mean}
 """Functions that combine the rewards of all drones"""
-STAY = 0
-"""The only action available to drones whose episode has ended: stay, action 0"""
 
 
 class PymarlEnv(LabelledEnvironment):
@@ -131,7 +130,7 @@ class PymarlEnv(LabelledEnvironment):
         self._seed = None
         self._pictures.clear()
         self._totals.forget(np.ones(1, dtype=bool))
-        self._present[:] = True
+        self._present[:] = self.aviary.alive[0]
         self._store_observations(observations)
         return self.get_obs(), {} if self._splits_ends else self.get_state()
 
@@ -233,8 +232,15 @@ class PymarlEnv(LabelledEnvironment):
         return [self.get_avail_agent_actions(i) for i in range(self.n_agents)]
 
     def get_avail_agent_actions(self, agent_id: int) -> list[int]:
-        """Return the action mask of one drone; after its episode only action 0 is available."""
-        here = self._present[self._drone(agent_id)]
+        """Return the action mask of one drone; after its episode only action 0 is available.
+
+        With the option `action_masks`, moves that lead out of the arena are not available.
+        """
+        drone = self._drone(agent_id)
+        if self._present[drone] and self.aviary.options.action_masks:
+            valid: list[int] = self.aviary.action_masks()[0, drone].tolist()
+            return valid
+        here = self._present[drone]
         return [int(here or choice == STAY) for choice in range(self.get_total_actions())]
 
     def _drone(self, agent_id: int) -> int:

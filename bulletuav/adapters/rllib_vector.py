@@ -123,7 +123,7 @@ class DroneVectorEnv(Environment, VectorMultiAgentEnv):  # type: ignore[misc]  #
         """
         everywhere = np.ones(self.num_envs, dtype=bool)
         observations = self._start(everywhere, seed, **reset_options(options))
-        everyone = np.ones(self.aviary.alive.shape, dtype=bool)
+        everyone = self.aviary.alive.copy()
         return self._by_agent(observations, everyone), self._empty_infos(everyone)
 
     def _start(self, worlds: np.ndarray, seed: Any = None, **places: Any) -> Observation:
@@ -152,7 +152,7 @@ class DroneVectorEnv(Environment, VectorMultiAgentEnv):  # type: ignore[misc]  #
         self._totals.add(step, flown)
         observations = self._start(fresh) if fresh.any() else step.observations
         # All drones of worlds that were reset are present, too
-        there = flown | fresh[:, None]
+        there = flown | (fresh[:, None] & aviary.alive)
         over = ~fresh & ~np.any(aviary.alive, axis=1)
         cut = over & np.any(step.truncated & flown, axis=1)
         infos = self._empty_infos(there)

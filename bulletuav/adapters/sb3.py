@@ -21,6 +21,7 @@ import numpy as np
 
 from bulletuav.adapters.features import SymlogFeatures as Symlog
 from bulletuav.adapters.sb3_buffers import LivingReplay, LivingRollouts
+from bulletuav.envs.action_masks import STAY
 from bulletuav.envs.aviary import Aviary
 from bulletuav.envs.common_spaces import common_observation
 from bulletuav.envs.curriculum import Curriculum
@@ -287,10 +288,11 @@ class DroneVecEnv(Environment, VecEnv):
         self._until_cut[over] = 0
         self._until_cut -= 1
         cut = self._until_cut == 0
+        successes = aviary.mean_of_members(self._success)
         for world in np.flatnonzero(over):
             # Otherwise the episode belongs to a previous stage
             if self.curriculum.stage == self._stage:
-                self.curriculum.record(float(self._success[world].mean()))
+                self.curriculum.record(float(successes[world]))
         change = self.curriculum.stage != self._stage
         # Finished episodes of drones
         ended = flown & (change | cut[:, None] | ~aviary.alive)
@@ -374,6 +376,19 @@ class DroneVecEnv(Environment, VecEnv):
             return {name: rows(array) for name, array in observations.items()}
         return rows(observations)
 
+    def action_masks(self) -> np.ndarray:
+        """Return the mask of each slot, as MaskablePPO of sb3-contrib asks for it.
+
+        Returns:
+            (slots, C) bool; only action 0 (stay) for slots without a drone.
+
+        Raises:
+            ValueError: Without the option `action_masks`.
+        """
+        masks = self._wide(self.aviary.action_masks().astype(bool), False)
+        masks[:, STAY] = True
+        return masks
+
     def get_images(self) -> list[np.ndarray | None]:
         """Render an image of each world."""
         return [self.aviary.render(world) for world in range(self.num_worlds)]
@@ -401,11 +416,13 @@ class DroneVecEnv(Environment, VecEnv):
         indices: VecEnvIndices = None,
         **method_kwargs: Any,
     ) -> list[Any]:
-        """Raise NotImplementedError: slots have no methods of their own.
+        """Return the masks of slots for `action_masks`; slots have no other methods of their own.
 
         Raises:
             NotImplementedError: The slots share one environment.
         """
+        if method_name == "action_masks":
+            return list(self.action_masks()[list(self._get_indices(indices))])
         raise NotImplementedError(
             f"slots share one environment: call env.{method_name}, or env.aviary.{method_name}"
         )

@@ -4,7 +4,7 @@ The reward of such transitions is NaN, see `bulletuav.adapters.sb3`.
 """
 
 from collections.abc import Generator
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from gymnasium.spaces import Space
@@ -28,6 +28,10 @@ class LivingRollouts(RolloutBuffer):
     Attributes:
         flown: Indices of the transitions of active drones, slot by slot.
     """
+
+    rows: ClassVar[tuple[str, ...]] = (
+        *("observations", "actions", "values", "log_probs", "advantages", "returns"),
+    )
 
     def compute_returns_and_advantage(self, last_values: torch.Tensor, dones: np.ndarray) -> None:
         """Compute returns and advantages as stable-baselines3 does.
@@ -53,7 +57,7 @@ class LivingRollouts(RolloutBuffer):
         """
         # Once for each rollout: concatenate all slots, without transitions of absent drones
         if not self.generator_ready:
-            for name in ("observations", "actions", "values", "log_probs", "advantages", "returns"):
+            for name in self.rows:
                 whole = self.swap_and_flatten(getattr(self, name))
                 setattr(self, name, whole[self.flown])
             self.generator_ready = True

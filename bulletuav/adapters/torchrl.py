@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from bulletuav.control.actions import Action
+from bulletuav.envs.action_masks import ACTION_MASK
 from bulletuav.envs.env_spec import EnvSpec
 from bulletuav.envs.environment import Environment
 from bulletuav.envs.reset_options import MASK
@@ -55,6 +56,8 @@ class DroneTensorEnv(Environment, EnvBase):  # type: ignore[misc]  # has no type
     - (group, "action"): (W, n, A), or (W, n) discrete, or one-hot without `categorical_actions`.
     - (group, "observation"): (W, n, D), or nested entries by name.
     - (group, "mask"): (W, n) bool, True for active drones.
+    - (group, "action_mask"): (W, n, C) bool, valid actions, with the option `action_masks`; random
+      actions of the environment respect it.
     - (group, "reward"): (W, n, 1).
     - (group, "done"), (group, "terminated"), (group, "truncated"): (W, n, 1) bool; unchanged once
       the drone has left.
@@ -113,6 +116,7 @@ class DroneTensorEnv(Environment, EnvBase):  # type: ignore[misc]  # has no type
         self._rows = {group: _index(own) for group, own in rows.items()}
         drones, width = spec.action.low.shape
         chooses = spec.action.choices is not None
+        self._has_masks = spec.options.action_masks
         self._one_hot = chooses and not categorical_actions
         self._given = np.zeros((num_worlds, drones) if chooses else (num_worlds, drones, width))
         # Ends of the episodes, and the worlds still to be seeded
@@ -135,6 +139,8 @@ class DroneTensorEnv(Environment, EnvBase):  # type: ignore[misc]  # has no type
             count = len(rows)
             chosen = _action_spec(spec.action, rows, self._one_hot).to(self.device)
             entries = {"observation": self._observed(count), "mask": self._flag(count)}
+            if self._has_masks:
+                entries[ACTION_MASK] = self._flag(count, int(spec.action.choices or 0))
             if self._infos:
                 arrays = dict.fromkeys(self._infos, self._number(count, 1))
                 entries["info"] = Composite(arrays, shape=(count,))
@@ -197,6 +203,8 @@ class DroneTensorEnv(Environment, EnvBase):  # type: ignore[misc]  # has no type
         kept = ~worlds[:, None]
         self._terminated, self._truncated = self._terminated & kept, self._truncated & kept
         self._alive = self.batch.alive
+        # Absent drones have ended
+        self._terminated |= worlds[:, None] & ~self._alive
         arrays = self._collect_arrays(observations, info, self._alive)
         if kept.any():
             # Other worlds keep the last values
@@ -271,6 +279,8 @@ class DroneTensorEnv(Environment, EnvBase):  # type: ignore[misc]  # has no type
             # In place: no other code uses these arrays
             for array in arrays.values():
                 array[~flown] = 0
+        if self._has_masks:
+            arrays[ACTION_MASK,] = info[ACTION_MASK].astype(bool)
         if self._has_state:
             arrays[STATE] = self.batch.state()
         return arrays
@@ -295,6 +305,10 @@ class DroneTensorEnv(Environment, EnvBase):  # type: ignore[misc]  # has no type
             own = {key: torch.from_numpy(array[:, rows]) for key, array in of_drones.items()}
             drones = (self.num_worlds, len(self.group_map[group]))
             source[group] = TensorDict(own, batch_size=drones, device=self.device)
+            if self._has_masks:
+                # A copy, as the caller may write to the tensors
+                valid = source[group].get(ACTION_MASK).clone()
+                self.full_action_spec[group, "action"].update_mask(valid)
         return TensorDict(source, batch_size=self.batch_size, device=self.device)
 
     def render(self, world: int = 0) -> np.ndarray | None:

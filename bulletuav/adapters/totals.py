@@ -16,11 +16,14 @@ class EpisodeTotals:
     def __init__(self) -> None:
         """Make empty totals; the first step allocates the arrays."""
         self.by_name: dict[str, np.ndarray] = {}
+        self._members: np.ndarray | None = None
 
     def forget(self, worlds: np.ndarray) -> None:
         """Reset the totals of the worlds of a mask (W,)."""
         for total in self.by_name.values():
             total[worlds] = 0
+        if self._members is not None:
+            self._members[worlds] = False
 
     def add(self, step: Step, flown: np.ndarray) -> None:
         """Add a step.
@@ -30,6 +33,8 @@ class EpisodeTotals:
             flown: (W, N) bool, drones that were active in the step.
         """
         info = step.info
+        # Absent drones never fly
+        self._members = flown.copy() if self._members is None else self._members | flown
         for name in info:
             if name.startswith("reward/") or name == "conflicts":
                 self._of(name, flown)[flown] += info[name][flown]
@@ -47,5 +52,6 @@ class EpisodeTotals:
         return {name: float(total[world, drone]) for name, total in self.by_name.items()}
 
     def of_world(self, world: int) -> dict[str, float]:
-        """Return the means over all drones of a world."""
-        return {name: float(total[world].mean()) for name, total in self.by_name.items()}
+        """Return the means over all drones of a world's episode."""
+        own = slice(None) if self._members is None else self._members[world]
+        return {name: float(total[world][own].mean()) for name, total in self.by_name.items()}

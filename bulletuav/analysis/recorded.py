@@ -168,11 +168,13 @@ class Outcome(NamedTuple):
 
 
 def outcomes(recording: Recording) -> list[Outcome]:
-    """Return the outcome of each drone, in order."""
+    """Return the outcome of each drone that flew, in order."""
     rows = []
     for drone in range(recording.position.shape[1]):
         # A drone is alive without interruption from the start: the count gives its last decision.
         last = int(recording.alive[:-1, drone].sum()) - 1
+        if last < 0:  # absent in this episode
+            continue
         flown = slice(0, last + 1)
         distance = math.inf
         if recording.goal.shape[1]:
@@ -200,8 +202,8 @@ def summarize_infos(recording: Recording, names: Iterable[str]) -> list[dict[str
         names: Names of infos with one number per drone.
 
     Returns:
-        For each drone a bool, int or float by name: the minimum of separations, the sum of
-        conflicts and collisions, and the last value of other infos.
+        For each drone that flew a bool, int or float by name: the minimum of separations, the sum
+        of conflicts and collisions, and the last value of other infos.
 
     Raises:
         ValueError: If there is no info of a name.
@@ -214,6 +216,7 @@ def summarize_infos(recording: Recording, names: Iterable[str]) -> list[dict[str
             for name, row in infos.items()
         }
         for i, end in enumerate(flown)
+        if end
     ]
 
 

@@ -57,7 +57,9 @@ NUMBER_TYPES = frozenset((float, int))
 """Number types that need no further checks"""
 TASK_OPTIONS = (
     "num_drones",
+    "min_drones",
     "action",
+    "action_masks",
     "horizon",
     "observation",
     "observation_format",

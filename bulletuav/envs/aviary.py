@@ -60,6 +60,7 @@ class Aviary(Environment):
         swarm: State of the drones, (W, N, ...).
         scene: Goals, obstacles and the task's memory.
         alive: (W, N) bool, drones whose episode is running.
+        members: (W, N) bool, drones of the episode: all, unless num_drones is (min, max).
         steps: (W,) decisions since the reset.
         commanded: (W, N, 3) last commanded velocities, m/s.
         parameters: (W, N) rows of `PARAMETERS` that the dynamics uses.
@@ -111,6 +112,7 @@ class Aviary(Environment):
         state = worlds.state
         self.swarm, self.scene, self.commanded = state.swarm, state.scene, state.commanded
         self.given, self.alive, self.steps = state.given, state.alive, state.steps
+        self.members = worlds.members
         self.rewards, self.terminated, self.truncated = (
             state.rewards,
             state.terminated,
@@ -276,6 +278,36 @@ class Aviary(Environment):
                 N).
         """
         return self.worlds.results.info_table(self.simulation.further_infos(), world)
+
+    def mean_of_members(self, values: np.ndarray, members: np.ndarray | None = None) -> np.ndarray:
+        """Return the mean (W,) of values (W, N) over the drones of each world's episode.
+
+        Args:
+            values: (W, N).
+            members: (W, N) bool, the drones; None for those of the running episodes.
+        """
+        if not self.options.has_absent:
+            every: np.ndarray = values.mean(axis=1)
+            return every
+        members = self.members if members is None else members
+        own: np.ndarray = np.where(members, values, 0.0).sum(axis=1) / members.sum(axis=1)
+        return own
+
+    @exclusive
+    def action_masks(self) -> np.ndarray:
+        """Return the masks of discrete actions; see `bulletuav.envs.action_masks.ActionMasks`.
+
+        Returns:
+            (W, N, C) int8, 1 for valid moves.
+
+        Raises:
+            ValueError: Without the option `action_masks`.
+            RuntimeError: If called before the first reset or after `close`.
+        """
+        self.require_started()
+        if not self.options.action_masks:
+            raise ValueError("this environment computes no masks: make it with action_masks=True")
+        return self.worlds.action_masks()
 
     def require_action(self, drone: int, numbers: np.ndarray) -> None:
         """Raise ValueError for an invalid action (A,) of a drone; nothing is simulated."""

@@ -33,6 +33,8 @@ WITHOUT_EFFECT = frozenset(
         *("render_mode", "render_size", "render_address"),
         # The same results, computed in Python
         "debug",
+        # Infos only
+        "action_masks",
     }
 )
 """Options that do not change how a simulation continues from a given state"""

@@ -87,6 +87,7 @@ class EnvSpec:
         self.num_worlds = as_int("num_worlds", num_worlds, 1, MAX_WORLDS)
         self.options, config, self.sensors = resolve_options(kind, options)
         self._require_memory(BODY_BYTES * self.options.num_drones)
+        self._check_absent(kind)
         self.task = _make_task(kind, config, self.options)
         places = (getattr(self.task.config, name, None) for name in PLACES)
         given = read_given_positions(self.task, *places)
@@ -122,6 +123,15 @@ class EnvSpec:
         consumes: object = find_dynamics(self.options.dynamics).consumes
         if isinstance(consumes, SetpointLevel):
             self.options.check_setpoint_levels(self.action.level, consumes)
+
+    def _check_absent(self, kind: type[Task[Any]]) -> None:
+        """Raise ValueError for a drawn number of drones in tasks that need all of them."""
+        options = self.options
+        if options.min_drones is not None and not kind.has_absent:
+            raise ValueError(
+                f"num_drones is {(options.min_drones, options.num_drones)}, and task {kind.name!r} "
+                f"needs all of its drones: give one number"
+            )
 
     def _check_observation(self, sources: tuple[Any, ...]) -> None:
         """Raise ValueError for unknown names of observations, and for repeated ones."""
@@ -428,6 +438,7 @@ def _make_action(options: EnvOptions, task: Task[Any]) -> Action:
             f"max_climb is {climb:g} m/s: it limits actions that command velocities, and "
             f"{options.action!r} does not; max_climb=None leaves it out"
         )
+    _check_masks(options, action)
     limit = task.speed_limit
     if limit is not None and (np.shape(limit) != (options.num_drones,) or not (limit > 0).all()):
         raise ValueError(
@@ -440,3 +451,12 @@ def _make_action(options: EnvOptions, task: Task[Any]) -> Action:
             f"the commanded speeds: choose action='velocity', or options without limits"
         )
     return action
+
+
+def _check_masks(options: EnvOptions, action: Action) -> None:
+    """Raise ValueError for masks of actions that are no moves to choose from."""
+    if options.action_masks and (action.choices is None or action.level != SetpointLevel.VELOCITY):
+        raise ValueError(
+            f"action_masks is True, and action {options.action!r} is no choice of velocities: "
+            f"choose action='discrete' or 'discrete_27', or leave action_masks out"
+        )

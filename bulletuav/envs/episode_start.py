@@ -57,6 +57,7 @@ class EpisodeStart:
         self._fresh, self._no_worlds, self._due = np.zeros((3, count), dtype=bool)
         self._fresh_indices: list[int] = []
         self._fresh_drones = np.zeros(state.alive.shape, dtype=bool)
+        self._drawn_members: list[np.ndarray] = []
         self._charge = np.ones(state.alive.shape)  # of the worlds that start, first rows
         self._start: Program | None = None
         self._update: _AccountUpdate | None = None
@@ -86,7 +87,7 @@ class EpisodeStart:
         Raises:
             ValueError: If the task's starts are invalid.
         """
-        task = self._worlds.task
+        worlds, task = self._worlds, self._worlds.task
         spawns = list(task.spawn_many(generators))
         if len(spawns) != len(generators):
             raise ValueError(
@@ -108,6 +109,9 @@ class EpisodeStart:
         self._slots = []
         if self._worlds.bodies.count:
             self._draw_bodies(spawns, generators, given)
+        if worlds.options.has_absent:
+            # After the starts, which therefore do not depend on the range
+            self._drawn_members = [self._draw_members(rng) for rng in generators]
 
     def _draw_bodies(
         self,
@@ -140,6 +144,15 @@ class EpisodeStart:
                 )
             self._slots.append(slots)
 
+    def _draw_members(self, rng: np.random.Generator) -> np.ndarray:
+        """Draw which drones (N,) take part in an episode: their number, then any so many."""
+        options = self._worlds.options
+        fewest = options.num_drones if options.min_drones is None else options.min_drones
+        members = np.zeros(options.num_drones, dtype=bool)
+        count = rng.integers(fewest, options.num_drones, endpoint=True)
+        members[rng.permutation(options.num_drones)[:count]] = True
+        return members
+
     def write(
         self, fresh: np.ndarray, indices: list[int], generators: list[np.random.Generator]
     ) -> None:
@@ -150,6 +163,8 @@ class EpisodeStart:
         self._fresh[:], self._fresh_indices = fresh, indices
         for k, rng in zip(indices, generators, strict=True):
             worlds.rng[k] = rng
+        for k, members in zip(indices, self._drawn_members, strict=False):
+            worlds.members[k] = members
         if worlds.wind.is_gusty or worlds.uncertainty.drawn:
             for k, rng in zip(indices, generators, strict=True):
                 worlds.wind.reset(k, rng)
@@ -219,6 +234,8 @@ class EpisodeStart:
         program, fresh, worlds, state = Program(), self._fresh, self._worlds, self._worlds.state
         self._add_rows(program)
         program.call(expand_mask, fresh, self._fresh_drones)
+        if worlds.options.has_absent:
+            program.callback(self._leave_out_absent)
         worlds.dynamics.add_place(program, state.swarm, self._fresh_drones)
         add_value(program, fresh, 0, worlds.dynamics.contact.touches.number)
         program.call(update_present, state.alive, fresh, state.present, self._due)
@@ -229,6 +246,19 @@ class EpisodeStart:
         program.callback(self._keep_contacts)
         program.callback(lambda: worlds.measure(state.swarm, state.swarm, self._fresh_drones))
         return program
+
+    def _leave_out_absent(self) -> None:
+        """Treat absent drones as those whose episode ended, and clear their old readings."""
+        worlds, state = self._worlds, self._worlds.state
+        absent = self._fresh_drones & ~worlds.members
+        self._fresh_drones &= worlds.members
+        for mask in (state.alive, state.flown):
+            mask[absent] = False
+        worlds.engine.park(absent)
+        energy = worlds.energy.readings()
+        for name, reading in worlds.readings.items():
+            if name not in energy:
+                reading[absent] = 0
 
     def _make_account_update(self) -> Program:
         """Make the program that fills the account as if no time had passed in the decision."""

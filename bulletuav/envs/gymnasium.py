@@ -1,7 +1,8 @@
 """Gymnasium environments: one agent commands all drones of a world, alone or in batches.
 
-An action concatenates the numbers of all drones, and the reward is their mean reward. The episode
-ends when all drones are done, by truncation if time ended it for one of them.
+An action concatenates the numbers of all drones, and the reward is their mean reward, without that
+of absent drones. The episode ends when all drones are done, by truncation if time ended it for one
+of them.
 
 The agent observes the global state of all drones: a flat vector, or in the format "dict" an entry
 (N, numbers) for each of its blocks. With one drone the environment has that drone's own
@@ -177,7 +178,8 @@ class CentralAviary(LabelledEnvironment, gymnasium.Env[Any, Any]):
             observation = part(seen, (0, 0))
             mean = aviary.rewards.item()
         else:
-            observation, mean = part(self._observer.observe(seen), 0), float(aviary.rewards.mean())
+            observation = part(self._observer.observe(seen), 0)
+            mean = float(aviary.mean_of_members(aviary.rewards)[0])
         infos = lazy_infos(aviary.info_table(0))
         return observation, mean, is_over and not truncated, truncated, infos
 
@@ -299,6 +301,7 @@ class CentralVectorAviary(LabelledEnvironment, gymnasium.vector.VectorEnv[Any, A
         batch = joint_numbers(self.aviary.action, actions, self.num_envs)
         if self.aviary.action.choices is not None:
             batch = batch[..., 0]
+        members = self.aviary.members.copy()  # a reset within the step draws others
         observations, rewards, _, cut, infos = self._batch.step(batch)
         # An episode that time ended for one of the drones is truncated.
         ended = self._batch.ended
@@ -306,7 +309,7 @@ class CentralVectorAviary(LabelledEnvironment, gymnasium.vector.VectorEnv[Any, A
         terminated = ended & ~truncated
         if "final_obs" in infos:
             infos["final_obs"] = self._observer.observe(infos["final_obs"], infos["final_state"])
-        mean_rewards = rewards.mean(axis=1)
+        mean_rewards = self.aviary.mean_of_members(rewards, members)
         return self._observer.observe(observations), mean_rewards, terminated, truncated, infos
 
     @exclusive

@@ -65,7 +65,10 @@ class EnvOptions:
     """Options common to all tasks. Every ValueError names the value and the remedy.
 
     Attributes:
-        num_drones: Number of drones in a world.
+        num_drones: Number of drones in a world; or (min, max), from which each episode draws its
+            number. Arrays have the maximum, and drones that are not drawn are absent in the
+            episode, as drones are whose episode ended.
+        min_drones: Minimum number of drones in a world; set by num_drones=(min, max).
         airframe: Name of an airframe, path of a URDF, or an `Airframe`; or one for each drone.
         action: Meaning of actions: a name in `bulletuav.control.actions.ACTIONS`. The default is
             that of the task; if the dynamics does not support it, the action of the highest
@@ -157,6 +160,9 @@ class EnvOptions:
             `bulletuav.envs.bodies.DrawnBodies`.
         debug: Whether compiled functions run as plain Python, with the same results, some hundred
             times slower: for breakpoints, prints and coverage.
+        action_masks: Whether infos have "action_mask", the valid moves of a discrete action, int8,
+            1 for valid ones; see `bulletuav.envs.action_masks.ActionMasks`. Moves that lead out of
+            the arena are invalid. An invalid move is flown all the same.
     """
 
     num_drones: int
@@ -208,10 +214,14 @@ class EnvOptions:
     restitution: float = 0.0
     bodies: BodiesOption = ()
     debug: bool = False
+    action_masks: bool = False
+    min_drones: int | None = None
 
     def __post_init__(self) -> None:
         for name, most in MAX_COUNTS.items():
             self._keep(name, as_int(name, getattr(self, name), 1, most))
+        if self.min_drones is not None:
+            self._keep("min_drones", as_int("min_drones", self.min_drones, 1, self.num_drones))
         self._keep("decision_hz", decision_rate(self.decision_hz, self.physics_hz))
         if self.camera_hz is not None:
             self._keep("camera_hz", picture_rate(self.camera_hz, self.decision_hz))
@@ -239,7 +249,7 @@ class EnvOptions:
         for name, known in choices.items():
             find_choice(name, getattr(self, name), dict.fromkeys(known))
         check_names("effects", "effect", self.effects, EFFECTS)
-        for name in ("normalise", "integral", "debug"):
+        for name in ("normalise", "integral", "debug", "action_masks"):
             as_bool(name, getattr(self, name))
         self._keep("bodies", as_bodies(self.bodies))
         self._check_reward()
@@ -397,6 +407,11 @@ class EnvOptions:
         self._keep("gravity", finite("gravity", self.gravity))
         if self.gravity < 0:
             raise ValueError(f"gravity is {self.gravity:g} m/s^2: it must not be negative")
+
+    @property
+    def has_absent(self) -> bool:
+        """Whether episodes may have fewer drones than num_drones."""
+        return self.min_drones is not None and self.min_drones < self.num_drones
 
     @property
     def substeps(self) -> int:

@@ -10,6 +10,7 @@ from pettingzoo import ParallelEnv
 from pettingzoo.utils.conversions import parallel_to_aec_wrapper
 from pettingzoo.utils.wrappers import OrderEnforcingWrapper
 
+from bulletuav.envs.action_masks import ACTION_MASK
 from bulletuav.envs.agents import share, take
 from bulletuav.envs.aviary import Aviary
 from bulletuav.envs.environment import LabelledEnvironment, exclusive
@@ -25,8 +26,8 @@ from bulletuav.tasks.observations.observer import Observation, part
 
 ByAgent = dict[str, Any]
 """One value for each agent, by its name"""
-InfosByAgent = dict[str, dict[str, float]]
-"""Infos of each agent, by its name"""
+InfosByAgent = dict[str, dict[str, Any]]
+"""Infos of each agent, by its name: numbers, and the mask of actions"""
 AgentResults = tuple[ByAgent, dict[str, float], dict[str, bool], dict[str, bool], InfosByAgent]
 """Observations, rewards, terminated, truncated and infos of a step, each by agent"""
 
@@ -114,7 +115,8 @@ class ParallelAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  #
             Observations and infos, by agent.
         """
         observations = self.aviary.reset(seeds=seed, **reset_options(options))
-        self.agents = self.possible_agents[:]
+        flies = self.aviary.alive[0].tolist()
+        self.agents = [one for one, row in self._rows.items() if flies[row]]
         rows = self._living_rows()
         first = self.aviary.first_info()
         infos = self._infos(lambda: first, rows)
@@ -192,13 +194,18 @@ class ParallelAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  #
         agents = self.agents
 
         def make() -> InfosByAgent:
-            info = make_infos()
+            info = dict(make_infos())
+            masks = info.pop(ACTION_MASK, None)
             living = [_rows_of(array, rows) for array in info.values()]
             table = np.array(living, dtype=float).T.tolist()
-            return {
+            by_agent: InfosByAgent = {
                 agent: dict(zip(info, row, strict=True))
                 for agent, row in zip(agents, table, strict=True)
             }
+            if masks is not None:
+                for agent, mask in zip(agents, _rows_of(masks, rows), strict=True):
+                    by_agent[agent][ACTION_MASK] = mask
+            return by_agent
 
         return lazy_infos(make)
 

@@ -95,6 +95,7 @@ def resolve_options(task: type[Task[Any]], given: Mapping[str, Any]) -> Resolved
     if "dynamics" not in values:
         values["dynamics"] = default_dynamics(values.get("contacts"))
     make_tuples(values)
+    _split_range(values)
     _load_airframes(values, given)
     if "action" not in given:
         values["action"] = action_for(values["dynamics"], values["action"], values["airframe"])
@@ -170,6 +171,24 @@ def _is_ingredient(value: Any) -> bool:
 def _is_unlisted(name: str, value: Any) -> bool:
     """Return True if an option that can be a list has a valid value that is not a list."""
     return (name == "wind" and callable(value)) or (name == "observation" and value is None)
+
+
+def _split_range(values: dict[str, Any]) -> None:
+    """Split num_drones=(min, max) into num_drones and min_drones."""
+    given = values["num_drones"]
+    if not isinstance(given, list | tuple):
+        return
+    if values.get("min_drones") is not None:
+        raise ValueError(
+            f"min_drones is {shown(values['min_drones'])}, and num_drones {shown(given)} sets it, "
+            f"too: leave min_drones out"
+        )
+    low, high = (
+        as_int("num_drones", one, 1, MAX_DRONES) for one in as_sequence("num_drones", given, 2)
+    )
+    if low > high:
+        raise ValueError(f"num_drones is {shown(given)}: from low to high is needed")
+    values["num_drones"], values["min_drones"] = high, low
 
 
 def _load_airframes(values: dict[str, Any], given: Mapping[str, Any]) -> None:

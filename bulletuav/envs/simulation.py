@@ -5,6 +5,7 @@ import time
 import numpy as np
 
 from bulletuav.compiled.program import Program
+from bulletuav.envs.action_masks import ACTION_MASK
 from bulletuav.envs.episode_start import EpisodeStart
 from bulletuav.envs.results import Results
 from bulletuav.envs.stages import Stage, decision_stages
@@ -166,8 +167,8 @@ class Simulation:
         check_info(task, task.info(frame), shape)
         terms = [*result.terms, *task.extra_terms(frame)]
         self.worlds.results = Results(terms, shape, task.has_goals)
-        own = task.overrides_method("info")
         worlds = self.worlds
+        own = task.overrides_method("info") or worlds.masks is not None
         self._has_further_infos = own or bool(
             task.lands or worlds.uncertainty.drawn or worlds.sensors.sensors
         )
@@ -180,7 +181,8 @@ class Simulation:
         worlds = self.worlds
         landed = {"landed": worlds.frame.landed} if worlds.task.lands else {}
         own = worlds.task.info(worlds.frame)
-        return {**landed, **own, **worlds.uncertainty.info(), **worlds.sensors.info()}
+        masks = {} if worlds.masks is None else {ACTION_MASK: worlds.action_masks()}
+        return {**landed, **own, **worlds.uncertainty.info(), **worlds.sensors.info(), **masks}
 
     def observe_start(self) -> None:
         """Write the observations after a reset; needs the program."""

@@ -181,7 +181,7 @@ class BatchAviary(LabelledEnvironment):
         """Return infos with those of the new episodes in `worlds` (W,)."""
         first = self.aviary.first_info(worlds)
         return lazy_infos(
-            lambda: {name: np.where(worlds[:, None], first[name], info[name]) for name in first}
+            lambda: {name: _merged(worlds, first[name], info[name]) for name in first}
         )
 
     @exclusive
@@ -230,3 +230,8 @@ class BatchAviary(LabelledEnvironment):
     def close(self) -> None:
         """Free the engine. Further calls do nothing."""
         self.aviary.close()
+
+
+def _merged(worlds: np.ndarray, first: np.ndarray, last: np.ndarray) -> np.ndarray:
+    """Return arrays (W, ...) with those of `first` in `worlds` (W,)."""
+    return np.where(worlds.reshape(-1, *[1] * (first.ndim - 1)), first, last)

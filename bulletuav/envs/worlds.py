@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from bulletuav.envs.action_masks import ActionMasks, response_of
 from bulletuav.envs.contact_record import ContactRecord
 from bulletuav.envs.energy import Energy
 from bulletuav.envs.env_spec import EnvSpec
@@ -38,6 +39,8 @@ class Worlds(Parts):
         vector: (W, N, D) observations of the last decision.
         rng: Random generator of each world.
         bodies: Bodies of the option `bodies`.
+        members: (W, N) bool, drones of the episode; False for absent ones.
+        masks: Computes the masks of discrete actions; None without the option.
     """
 
     account: FrameMeasures
@@ -62,6 +65,8 @@ class Worlds(Parts):
         self.bodies = WorldBodies(options.bodies, self.engine)
         self.dynamics.look_around()
         self._make_state(len(obstacles))
+        self.members = np.ones((self.num_worlds, options.num_drones), dtype=bool)
+        self.masks = self._make_masks() if options.action_masks else None
 
     def _make_state(self, num_obstacles: int) -> None:
         """Allocate all arrays, and create the frame."""
@@ -90,6 +95,20 @@ class Worlds(Parts):
             readings=self.readings,
         )
         self.vector = self.observer.make_vector(shape)
+
+    def _make_masks(self) -> ActionMasks:
+        options = self.options
+        radius = np.array([airframe.collision_radius for airframe in options.airframe])
+        drive = (self.dynamics.consumes, options.dynamics_name, options.gravity)
+        response = response_of(self.cascade.gains[0], *drive)
+        return ActionMasks(self.action, self.task, radius, response, 1 / options.decision_hz)
+
+    def action_masks(self) -> np.ndarray:
+        """Compute the masks of discrete actions, (W, N, C) int8; needs the option."""
+        assert self.masks is not None, "checked by Aviary"
+        state = self.state
+        present = state.alive | state.truncated
+        return self.masks.compute(state.swarm.position, state.swarm.velocity, present)
 
     @property
     def collects_contacts(self) -> bool:
@@ -157,6 +176,7 @@ class Worlds(Parts):
             "controller": self.cascade.memory,
             "charge": self.energy.readings()["charge"],
             **self.body_arrays(),
+            **({"members": self.members} if self.options.has_absent else {}),
         }
 
     def last_arrays(self) -> dict[str, np.ndarray]:

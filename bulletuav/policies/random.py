@@ -34,11 +34,15 @@ class RandomActions(Policy):
             self._rng[k] = np.random.default_rng(generator.integers(2**63))
 
     def act(self, observations: Observation, swarm: Swarm) -> np.ndarray:
-        """Draw actions between their bounds, or discrete choices; see `Policy.act`."""
+        """Draw actions between their bounds, or valid discrete choices; see `Policy.act`."""
         action = self.aviary.action
         actions = np.zeros((self.aviary.num_worlds, *action.low.shape))
         for k, rng in self._rng.items():
-            if action.choices is not None:
+            if self.aviary.options.action_masks:
+                actions[k, :, 0] = [
+                    rng.choice(np.flatnonzero(mask)) for mask in self.aviary.action_masks()[k]
+                ]
+            elif action.choices is not None:
                 actions[k] = rng.integers(action.choices, size=action.low.shape)
             else:
                 actions[k] = rng.uniform(action.low, action.high)

@@ -105,6 +105,8 @@ class Task(ABC, Generic[ConfigT]):
             baseline if empty.
         shirkers: Policies that try to be paid in this task without doing it; see
             `bulletuav.analysis.incentives`.
+        has_absent: Whether episodes may have fewer drones than `num_drones`; the task then treats
+            absent drones as those that are not in `Frame.alive`.
         is_game: Whether teams play against each other, so that safety is part of the game.
         places: Positions that users may set: "start", "goal".
         rebound: Coefficient of restitution at the arena's bounds: the fraction of the normal speed
@@ -142,6 +144,7 @@ class Task(ABC, Generic[ConfigT]):
     baseline: ClassVar[str] = "straight"
     oracle: ClassVar[str] = ""
     shirkers: ClassVar[tuple[str, ...]] = ()
+    has_absent: ClassVar[bool] = False
     is_game: ClassVar[bool] = False
     places: ClassVar[tuple[str, ...]] = ()
     has_goals: ClassVar[bool] = True

@@ -65,6 +65,7 @@ class Converge(GoalFlight[ConvergeConfig]):
     """
 
     name = "converge"
+    has_absent = True
     version = 2
     shirkers = (*GOAL_FLIGHT_SHIRKERS, "pass_closely")
     difficulties: ClassVar = {

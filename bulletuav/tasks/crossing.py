@@ -75,6 +75,7 @@ class Crossing(GoalFlight[CrossingConfig]):
     """
 
     name = "crossing"
+    has_absent = True
     version = 2
     shirkers = (*GOAL_FLIGHT_SHIRKERS, "pass_closely")
     team_names = ("north", "east")

@@ -1,7 +1,7 @@
 """Task `free_flight`: drones fly from random starts, in random directions, to random goals."""
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal
 
 from bulletuav.registry import register
 from bulletuav.tasks.frame import TaskContext
@@ -23,12 +23,18 @@ class FreeFlightConfig(FreeSpaceOptions, FlightConfig):
         altitude_spread: Range of altitudes of starts and goals, centred at `altitude`, m.
         leg: Minimum distance from a start to its goal, m.
         heading: Direction of flight at the start, by default random.
+        at_goal: Behaviour at the goal: "leave", "land" or "hold", see `FlightConfig`; or "respawn":
+            the drone gets another goal, at least `leg` away, so that the traffic lasts until the
+            horizon. Every goal counts for the term `goal`, and goals do not end episodes. A drone
+            is successful after at least one goal without collision; infos report the number as
+            `goals`, and per hour of its flight as `goals_per_hour`.
     """
 
     altitude: float = 70.0
     altitude_spread: float = 10.0
     leg: float = 25.0
     heading: Any = "random"
+    at_goal: Literal["leave", "land", "hold", "respawn"] = "leave"  # type: ignore[assignment]
 
 
 @register("task")
@@ -72,6 +78,7 @@ class FreeFlight(GoalFlight[FreeFlightConfig]):
     """
 
     name = "free_flight"
+    has_absent = True
     version = 2
     shirkers = (*GOAL_FLIGHT_SHIRKERS, "pass_closely")
     difficulties: ClassVar = {

@@ -122,7 +122,7 @@ FlightConfigT = TypeVar("FlightConfigT", bound=FlightConfig)
 
 
 class GoalCount(Part):
-    """Number of goals that each drone reached, as memory and info "goals" if goals respawn."""
+    """Number of goals that each drone reached, as memory and infos if goals respawn."""
 
     def __init__(self, num_drones: int) -> None:
         """Count the goals of the drones of each world."""
@@ -133,8 +133,10 @@ class GoalCount(Part):
         return {"goals": (self._num_drones,)}
 
     def info(self, frame: Frame) -> dict[str, np.ndarray]:
-        """Return the counts, (W, N)."""
-        return {"goals": frame.scene.memory["goals"].copy()}
+        """Return the counts, and per hour since the start, (W, N)."""
+        goals = frame.scene.memory["goals"]
+        hours = np.maximum(frame.time, 1.0) / 3600  # not above 3600 per goal at the start
+        return {"goals": goals.copy(), "goals_per_hour": goals / hours[:, None]}
 
 
 class GoalFlight(Task[FlightConfigT], Generic[FlightConfigT]):
@@ -355,7 +357,7 @@ class GoalFlight(Task[FlightConfigT], Generic[FlightConfigT]):
         scene.memory["goals"][:] += at_goal
         for w, i in np.argwhere(at_goal).tolist():
             place = frame.after.position[w, i]
-            scene.goal[w, i] = self.starts.next_goal(place, int(scene.layout[w]), rngs[w])
+            scene.goal[w, i] = self.starts.next_goal(place, scene, w, rngs[w])
             frame.known_distance[w, i] = math.dist(scene.goal[w, i], frame.known_position[w, i])
 
     def finished(self, frame: Frame) -> np.ndarray:

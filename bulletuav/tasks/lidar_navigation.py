@@ -78,6 +78,7 @@ class LidarNavigation(GoalFlight[LidarNavigationConfig]):
     """
 
     name = "lidar_navigation"
+    has_absent = True
     version = 2
     shirkers = GOAL_FLIGHT_SHIRKERS
     presets: ClassVar = {"urbanmarl": URBANMARL_LIDAR_NAVIGATION}

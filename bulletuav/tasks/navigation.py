@@ -59,6 +59,7 @@ class Navigation(GoalFlight[NavigationConfig]):
     """
 
     name = "navigation"
+    has_absent = True
     version = 2
     shirkers = GOAL_FLIGHT_SHIRKERS
     presets: ClassVar = {"urbanmarl": URBANMARL_NAVIGATION}

@@ -68,6 +68,7 @@ class Obstacles(GoalFlight[ObstaclesConfig]):
     """
 
     name = "obstacles"
+    has_absent = True
     version = 2
     shirkers = ("stop_short", "ignore_obstacles", "leave_near_goal")
     oracle = "reflecting_orca"

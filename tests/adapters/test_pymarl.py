@@ -355,3 +355,15 @@ def test_pictures_are_kept_for_replays_alone():
     with pytest.raises(RuntimeError, match="give the environment replay_dir"):
         env.save_replay()
     env.close()
+
+
+def test_moves_out_of_the_arena_are_not_available_with_masks():
+    """Without masks, random flight leaves this small arena (see `BREAK`)."""
+    env = PymarlEnv("converge", action_masks=True, **BREAK)
+    transitions, info, _ = run_epymarl(env, np.random.default_rng(0))
+    assert len(transitions) == 401
+    assert info["collision"] < 1
+    available = np.array([row["avail"] for row in transitions])
+    assert available[:, :, 0].all()
+    assert not available.all()
+    env.close()

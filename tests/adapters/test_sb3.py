@@ -411,3 +411,24 @@ def test_cut_episodes_are_truncated_and_do_not_count():
     assert infos[:3] == [{}] * 3
     assert all("episode" in info for info in infos[3:])
     env.close()
+
+
+# Masks of discrete actions
+
+
+MASKED = {"action": "discrete", "action_masks": True}
+
+
+def test_slots_have_the_masks_of_their_drones():
+    env = DroneVecEnv("converge", 2, [{"num_drones": 2}, {"num_drones": 3}], **BREAK | MASKED)
+    env.seed(0)
+    env.reset()
+    masks = np.stack(env.env_method("action_masks"))
+    assert masks.shape == (6, 7)
+    # The first stage has two drones in each world
+    assert masks[[2, 5]].tolist() == 2 * [[True] + 6 * [False]]
+    of_drones = env.aviary.action_masks().astype(bool).reshape(4, 7)
+    np.testing.assert_array_equal(masks[[0, 1, 3, 4]], of_drones)
+    np.testing.assert_array_equal(env.env_method("action_masks", indices=[4]), masks[[4]])
+    assert env.has_attr("action_masks")
+    env.close()

@@ -353,3 +353,22 @@ def test_the_extra_is_named_where_it_is_missing(monkeypatch):
     monkeypatch.setitem(sys.modules, "torchrl.data", None)
     with pytest.raises(ImportError, match=r"constraints/torchrl\.txt .*\[torchrl\]'"):
         importlib.import_module("bulletuav.adapters.torchrl")
+
+
+def test_random_actions_respect_the_masks():
+    """Without masks, random flight leaves this small arena."""
+    small = {"num_drones": 3, "difficulty": "easy", "radius": 20.0, "margin": 10.0, "horizon": 300}
+    options = {"action": "discrete", "action_masks": True, "dynamics": "single_integrator"}
+    env = DroneTensorEnv("converge", 2, **small, **options)
+    env.set_seed(0)
+    torch.manual_seed(0)
+    flight = env.rollout(200, break_when_any_done=False, auto_reset=True)
+    masks, actions = flight["drones", "action_mask"], flight["drones", "action"]
+    assert masks.dtype == torch.bool
+    assert masks.shape == (2, 200, 3, 7)
+    assert not masks.all()
+    assert masks.gather(-1, actions[..., None]).all()
+    alive = flight["next", "drones", "mask"]
+    assert not (masks[~flight["drones", "mask"]][:, 1:]).any()
+    assert alive[:, 150].any()
+    env.close()

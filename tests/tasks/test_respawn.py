@@ -96,3 +96,46 @@ def test_a_planner_flies_to_one_goal_after_the_other():
         observations = step.observations
     assert (made.scene.memory["goals"] >= 2).all()
     made.close()
+
+
+# Traffic in free space
+
+
+def test_traffic_in_free_space_lasts_until_the_horizon_and_counts_goals():
+    options = {"num_drones": 4, "difficulty": "easy", "horizon": 400, "dynamics": "point_mass"}
+    made = bulletuav.Aviary("free_flight", 2, at_goal="respawn", **options)
+    observations = made.reset(seeds=0)
+    policy = find_policy("orca")(made)
+    policy.reset(np.ones(2, dtype=bool))
+    reached = np.zeros((2, 4))
+    while made.alive.any():
+        goals = made.scene.goal.copy()
+        step = made.step(policy.act(observations, made.swarm))
+        observations = step.observations
+        at_goal = step.info["reward/goal"] > 0
+        reached += at_goal
+        # Further goals are as far as the first, in the box, and apart from each other
+        way = np.linalg.norm(made.scene.goal - made.swarm.position, axis=-1)
+        assert (way[at_goal] >= 25).all()
+        np.testing.assert_array_equal((made.scene.goal != goals).any(axis=-1), at_goal)
+    starts = made.task.starts
+    assert ((made.scene.goal >= starts.low) & (made.scene.goal <= starts.high)).all()
+    for w in range(2):
+        gaps = np.linalg.norm(made.scene.goal[w][:, None] - made.scene.goal[w], axis=-1)
+        assert gaps[~np.eye(4, dtype=bool)].min() > starts.apart
+    np.testing.assert_array_equal(step.info["goals"], reached)
+    assert (reached > 1).any()
+    flown = made.steps[0] / 10
+    assert flown == 40
+    np.testing.assert_allclose(step.info["goals_per_hour"], reached * 3600 / flown)
+    made.close()
+
+
+def test_absent_drones_get_no_goals():
+    options = {"difficulty": "easy", "dynamics": "single_integrator", "at_goal": "respawn"}
+    made = bulletuav.Aviary("free_flight", 4, num_drones=(1, 4), **options)
+    made.reset(seeds=0)
+    made.scene.goal[:] = made.swarm.position
+    step = made.step(np.zeros((4, 4, 3)))
+    np.testing.assert_array_equal(step.info["goals"], made.members)
+    made.close()

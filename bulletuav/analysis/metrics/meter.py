@@ -33,6 +33,7 @@ class Meter:
         """
         worlds = aviary.num_worlds
         shape = (worlds, aviary.num_drones)
+        self._members = aviary.members.copy()
         self._aviary = aviary
         self._d_safe = aviary.task.config.d_safe
         self._period = 1 / aviary.options.decision_hz
@@ -164,7 +165,10 @@ class Meter:
         for name, values in select_task_infos(info).items():
             if name not in taken and is_scalar(values, self._succeeded.shape):
                 known = self._infos.get(name, np.nan)
-                self._infos[name] = np.where(flying, values.mean(axis=1), known)
+                self._infos[name] = np.where(flying, self._mean(values), known)
+
+    def _mean(self, values: np.ndarray) -> np.ndarray:
+        return self._aviary.mean_of_members(values, self._members)
 
     def row(self, w: int) -> dict[str, float]:
         """Return the metrics of the episode of a world.
@@ -199,42 +203,43 @@ class Meter:
 
     def _standard(self, w: int) -> dict[str, float]:
         aviary = self._aviary
+        own = w, self._members[w]
         length = self._steps[w] * self._period
-        arrived = self._succeeded[w]
+        arrived = self._succeeded[own]
         # Progress is the reduction of the distance to the goal, corrected by the goal's motion.
-        made_good = np.maximum(self._initial_distance[w] - self._goal_distance[w], 0.0)
-        progress_per_metre = made_good / np.maximum(self._path_length[w], 1e-9)
+        made_good = np.maximum(self._initial_distance[own] - self._goal_distance[own], 0.0)
+        progress_per_metre = made_good / np.maximum(self._path_length[own], 1e-9)
         efficiency = np.minimum(progress_per_metre, 1.0)[arrived]
         # The shortest possible path and time; a start at the goal has neither
         flown = arrived & (made_good > 0)
         shortest = made_good[flown]
-        extra_path = np.maximum(self._path_length[w][flown] / shortest - 1, 0.0)
-        times = self._decisions[w][flown] * self._period
+        extra_path = np.maximum(self._path_length[own][flown] / shortest - 1, 0.0)
+        times = self._decisions[own][flown] * self._period
         extra_time = times * aviary.options.max_speed / shortest - 1
         # In games between teams the rules of the game say what is safe
         is_game = aviary.task.is_game
-        safely = arrived if is_game else arrived & ~self._collided[w] & ~self._in_conflict[w]
+        safely = arrived if is_game else arrived & ~self._collided[own] & ~self._in_conflict[own]
         has_rotors = aviary.setpoint_level == SetpointLevel.ROTOR
         return {
             "safe_success": safely.mean(),
-            "collision": self._collided[w].any(),
+            "collision": self._collided[own].any(),
             "conflict": self._separation[w] < self._d_safe,
             "success": arrived.all(),
             "drone_success": arrived.mean(),
-            "return": self._return[w].mean(),
+            "return": self._return[own].mean(),
             "conflicts": self._conflicts[w],
             "near_misses": self._near_misses[w],
             "min_separation": self._separation[w],
             "min_time_to_conflict": self._time_to_conflict[w],
             "length": length,
-            "goal_distance": self._goal_distance[w].mean(),
+            "goal_distance": self._goal_distance[own].mean(),
             "path_efficiency": efficiency.mean() if len(efficiency) else np.nan,
             "extra_path": extra_path.mean() if len(extra_path) else np.nan,
             "extra_time": extra_time.mean() if len(extra_time) else np.nan,
             "jerk": self._jerk[w].sum() / max(self._jerks[w].sum(), 1.0),
-            "energy": self._energy[w].mean() if has_rotors else np.nan,
+            "energy": self._energy[own].mean() if has_rotors else np.nan,
             "messages": self._messages[w] if aviary.communicates else np.nan,
-            "fairness": jain(made_good / (self._decisions[w] * self._period)),
+            "fairness": jain(made_good / (self._decisions[own] * self._period)),
             "throughput": arrived.sum() / (length / 60),
             "served": self._served[w] / aviary.options.horizon,
             "completed": self._completed[w],

@@ -84,12 +84,15 @@ class Starts(ABC):
     def draw(self, rng: np.random.Generator) -> Spawn:
         """Draw starts and goals of one world, and its obstacles, with drones at rest."""
 
-    def next_goal(self, place: np.ndarray, layout: int, rng: np.random.Generator) -> np.ndarray:
+    def next_goal(
+        self, place: np.ndarray, scene: Scene, world: int, rng: np.random.Generator
+    ) -> np.ndarray:
         """Draw the next goal (3,), m, of a drone, if goals respawn.
 
         Args:
             place: (3,) position at which the drone reached its last goal, m.
-            layout: Index of the city in its world.
+            scene: Goals, obstacles and city.
+            world: Index of the drone's world.
             rng: Generator of the world.
 
         Raises:

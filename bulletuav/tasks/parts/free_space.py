@@ -6,13 +6,15 @@ from typing import Any
 import numpy as np
 
 from bulletuav.tasks.base import Task
-from bulletuav.tasks.frame import Spawn
+from bulletuav.tasks.frame import Scene, Spawn
 from bulletuav.tasks.parts.airspace import AirspaceOptions, clearance, require_margin
 from bulletuav.tasks.parts.base import Starts
 from bulletuav.tasks.parts.draws import get_random_source
 from bulletuav.tasks.parts.obstacle_field import ObstacleField
 from bulletuav.tasks.parts.places import PlacementRules, draw_places
 
+MAX_GOAL_DRAWS = 1000
+"""Maximum number of draws of a further goal; usually one of the first few is suitable"""
 MAX_OCCUPANCY = 0.3
 """Maximum fraction of the space from which drones and obstacles exclude others"""
 MAX_GROUND_OCCUPANCY = 0.5
@@ -130,3 +132,24 @@ class FreeSpace(Starts):
         places = (obstacle, velocity, start, goal)
         draw_places(get_random_source(rng), *corners, self._rules, *numbers, *places)
         return Spawn(start, goal, obstacle=obstacle, obstacle_velocity=velocity)
+
+    def next_goal(
+        self, place: np.ndarray, scene: Scene, world: int, rng: np.random.Generator
+    ) -> np.ndarray:
+        """Draw a goal at least `leg` away, clear of goals and obstacles; see the base class.
+
+        If none of MAX_GOAL_DRAWS is suitable, as obstacles have moved together, the last one is
+        returned.
+        """
+        goals, obstacles = scene.goal[world], scene.obstacle[world]
+        for _ in range(MAX_GOAL_DRAWS):
+            goal = rng.uniform(self.low, self.high)
+            if (
+                np.linalg.norm(goal - place) >= self.leg
+                and (np.linalg.norm(goal - goals, axis=-1) > self.apart).all()
+                and (
+                    np.linalg.norm(goal - obstacles, axis=-1) > self._rules.obstacle_distance
+                ).all()
+            ):
+                break
+        return goal

@@ -6,7 +6,7 @@ from typing import Any, Literal
 import numpy as np
 
 from bulletuav.tasks.base import Task
-from bulletuav.tasks.frame import Spawn
+from bulletuav.tasks.frame import Scene, Spawn
 from bulletuav.tasks.parts.base import Starts
 from bulletuav.tasks.parts.city_layouts import CityLayouts
 
@@ -63,7 +63,8 @@ class UrbanFlightOptions(StreetOptions):
         at_goal: Behaviour at the goal: "leave", "land" or "hold", see `FlightConfig`; or "respawn":
             the drone gets another goal outdoors, at a distance of `leg` if possible. Every goal
             counts for the term `goal`, and goals do not end episodes. A drone is successful after
-            at least one goal without collision; infos report the number as `goals`.
+            at least one goal without collision; infos report the number as `goals`, and per hour of
+            its flight as `goals_per_hour`.
     """
 
     leg: float = 200.0
@@ -95,6 +96,8 @@ class CityLegs(Starts):
         start, goal = self._city_layouts.legs(rng, layout, self._num_drones, self._leg)
         return Spawn(start, goal, layout=layout)
 
-    def next_goal(self, place: np.ndarray, layout: int, rng: np.random.Generator) -> np.ndarray:
+    def next_goal(
+        self, place: np.ndarray, scene: Scene, world: int, rng: np.random.Generator
+    ) -> np.ndarray:
         """Draw the next goal of a drone; see the base class."""
-        return self._city_layouts.draw_goal(rng, layout, place, self._leg)
+        return self._city_layouts.draw_goal(rng, int(scene.layout[world]), place, self._leg)
