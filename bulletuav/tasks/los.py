@@ -75,8 +75,10 @@ class Los(UserService[LosConfig]):
         "served": 1.0,
         "sight": 0.0,
     }
+    # The sight of each drone teaches it to climb and to look for users
     training_weights: ClassVar = {
-        "served": 3.0,
+        "served": 1.0,
+        "sight": 0.3,
         "conflict": -2.0,
         "collision": -2.0,
         "out_of_bounds": -2.0,

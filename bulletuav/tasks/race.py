@@ -166,15 +166,17 @@ class Race(Task[RaceConfig]):
         "energy": -0.001,
         "time": -0.5,
     }
+    # A contact costs little, as drones otherwise learn to keep away from gates
     training_weights: ClassVar[Mapping[str, float]] = {
         "progress": 0.2,
         "gate": 2.0,
-        "miss": -0.1,
-        "finish": 3.0,
-        "conflict": -1.0,
-        "collision": -2.0,
-        "out_of_bounds": -2.0,
-        "time": -0.005,
+        "miss": 0.0,
+        "finish": 5.0,
+        "conflict": -3.0,
+        "collision": -0.5,
+        "out_of_bounds": -3.0,
+        "energy": 0.0,
+        "time": -0.02,
     }
     shows: ClassVar = {
         "success": "finished",

@@ -27,6 +27,64 @@ CLOSE_FIT: dict[str, Any] = {"batch_size": 1024, "n_epochs": 6}
 OWN: dict[str, dict[str, Any]] = {
     "follow": {"worlds": 64, "staggered": True, "options": {"dynamics": "point_mass"}},
     "formation": {"model": CLOSE_FIT},
+    "hover": {
+        "steps": 600_000,
+        "worlds": 128,
+        "staggered": True,
+        # Drones that fly away waste decisions
+        "options": {"dynamics": "rigid_body", "max_distance": 5.0},
+        "model": {
+            "n_steps": 16,
+            "batch_size": 512,
+            "n_epochs": 4,
+            "learning_rate": [3e-3, 1e-5],
+            "gamma": 0.97,
+            "policy_kwargs": {
+                "net_arch": [64, 64],
+                "log_std_init": -1.5,
+                # Distances of some centimetres count
+                "features_extractor_kwargs": {"scale": 5.0},
+            },
+        },
+    },
+    "los": {
+        "steps": 1_000_000,
+        "worlds": 64,
+        "shared_reward": False,
+        "options": {
+            "decision_hz": 2,
+            "horizon": 120,
+            # Without lidar and room, drones touch buildings and leave through the ceiling
+            "observation": [
+                "position",
+                "room",
+                "lidar",
+                "contribution_ahead",
+                "all_neighbours",
+                "targets",
+            ],
+        },
+        "evaluation": {"horizon": 120},
+        "model": {
+            "features": "swarm",
+            "n_steps": 16,
+            "batch_size": 512,
+            "n_epochs": 5,
+            "learning_rate": [2e-3, 1e-5],
+            "gamma": 0.95,
+            "gae_lambda": 0.95,
+            "policy_kwargs": {"net_arch": [64, 64], "log_std_init": -1.2},
+        },
+    },
+    "navigation": {
+        "steps": 1_000_000,
+        # Drones cannot learn where streets are without sensing buildings
+        "options": {
+            "observation": ["velocity", "goal_offset", "room", "lidar", "intruders"],
+            "num_neighbours": 2,
+        },
+        "model": {"batch_size": 1024, "n_epochs": 5},
+    },
     "obstacles": {"model": CLOSE_FIT},
     "pursuit": {"model": CLOSE_FIT},
     "pursuit_evasion": {
@@ -49,10 +107,23 @@ OWN: dict[str, dict[str, Any]] = {
     "race": {
         "worlds": 64,
         "staggered": True,
-        # World axes, as those of actions; the direction of gates is in body axes
-        "options": {"observation": ["velocity", "goal_offset", "next_gates", "neighbours"]},
+        "options": {
+            # Drones that crash at their first gate never see the second
+            "contact_ends": "nothing",
+            "observation": ["velocity", "gate_aim", "rank", "neighbours"],
+            "num_neighbours": 1,
+        },
+        # Fast first, without taking off, then as in evaluations
+        "stages": [
+            {"dynamics": "point_mass", "take_off": False},
+            {"dynamics": "bullet", "take_off": True},
+        ],
+        "curriculum": {"up": 0.15, "down": 0.0, "window": 100},
         "model": {
-            "batch_size": 1024,
+            "n_steps": 32,
+            "batch_size": 512,
+            "gamma": 0.985,
+            "learning_rate": [2e-3, 1e-5],
             "policy_kwargs": {"net_arch": [64, 64], "log_std_init": -1.5},
         },
     },
@@ -83,10 +154,10 @@ def default_run(task: str) -> RunConfig:
     """Return the default settings of a training run.
 
     They are the schedule `GOAL_FLIGHT` in goal flights and in `default`, those of the policy of the
-    package in other tasks that have one, `SERVICE` in other tasks with users, and otherwise those
-    of `RunConfig` with the task's weights for training. Settings in `OWN` replace them. The
-    difficulty, the other options of `SCENE` and the options of evaluations are the defaults of the
-    task, as in `evaluate`.
+    package in `mec`, `SERVICE` in other tasks with users, and otherwise those of `RunConfig` with
+    the task's weights for training. Settings in `OWN` replace them. The difficulty, the other
+    options of `SCENE` and the options of evaluations are the defaults of the task, as in
+    `evaluate`, except the horizon in `los`.
 
     Args:
         task: Name of the task.
@@ -103,14 +174,14 @@ def default_run(task: str) -> RunConfig:
         # It is fast, and policies that learn in it fly in dynamics with rotors, too
         options["dynamics"] = "point_mass"
         return _with_own(RunConfig(task, options=options, **GOAL_FLIGHT))
-    if kind.name in shipped_tasks():
+    if kind.name in shipped_tasks() and kind.name not in OWN:
         known = shipped_run(task)
         options = {name: value for name, value in known.options.items() if name not in SCENE}
         return dataclasses.replace(known, options=options, evaluation={})
     if issubclass(kind, UserService):
         # It is fast, and policies choose places, which hardly depend on the dynamics
         options |= {"observation": list(USERS), "dynamics": "single_integrator"}
-        return RunConfig(task, options=options, **SERVICE)
+        return _with_own(RunConfig(task, options=options, **SERVICE))
     return _with_own(RunConfig(task, options=options))
 
 

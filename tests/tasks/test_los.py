@@ -92,3 +92,23 @@ def test_infos_tell_what_is_served(task):
     )
     assert 0 < step.info["served"].min() < 1
     aviary.close()
+
+
+def test_contributions_count_users_that_no_other_drone_sees():
+    blocks = ("contribution_ahead", "sight_matrix", "sight_ahead")
+    aviary = bulletuav.Aviary("los", 3, observation=blocks, dynamics="single_integrator")
+    aviary.reset(seeds=0)
+    rows = aviary.step(np.random.default_rng(0).uniform(-1, 1, (3, 3, 3))).observations
+    contribution, sight, ahead = np.split(rows.astype(float), [5, 65], axis=-1)
+    own, *others = np.moveaxis(sight.reshape(3, 3, 3, 20), 2, 0)
+    free = ~np.any(others, axis=0)
+    assert free.any()
+    assert not free.all()
+    np.testing.assert_allclose(contribution[..., 0], 100 * (own * free).mean(axis=-1), atol=1e-5)
+    gains = 100 * ((ahead.reshape(3, 3, 4, 20) - own[:, :, None]) * free[:, :, None]).mean(axis=-1)
+    np.testing.assert_allclose(contribution[..., 1:], gains, atol=1e-5)
+    # Users that only an inactive drone saw count for the others
+    aviary.alive[:] = [True, False, False]
+    alone = aviary.observer.observe(aviary.current_frame(), aviary.alive)[:, 0]
+    np.testing.assert_allclose(alone[:, 0], 100 * own[:, 0].mean(axis=-1), atol=1e-5)
+    aviary.close()

@@ -139,9 +139,11 @@ SHOWN_MEMORY = {
     "server": "queue",
     "link_rates": "received",
     "next_gates": "gate_axis",
+    "gate_aim": "gate_axis",
+    "rank": "rank",
 }
 """Blocks that show what some tasks alone remember, and the name of that"""
-SHOWN_TARGETS = ("centroids", "seen_share", "sight", "sight_ahead")
+SHOWN_TARGETS = ("centroids", "contribution_ahead", "seen_share", "sight", "sight_ahead")
 """Blocks that show targets"""
 
 
@@ -163,7 +165,7 @@ def test_every_block_can_be_asked_for_in_every_task_that_has_what_it_shows(task)
     aviary.close()
 
 
-@pytest.mark.parametrize("block", [*SHOWN_MEMORY, "centroids", "seen_share"])
+@pytest.mark.parametrize("block", [*SHOWN_MEMORY, "centroids", "contribution_ahead", "seen_share"])
 def test_a_block_of_what_a_task_does_not_have_is_refused(block):
     with pytest.raises(ValueError, match=f"'{block}' shows what task 'hover' does not have"):
         bulletuav.Aviary("hover", observation=block)

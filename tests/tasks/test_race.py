@@ -369,6 +369,24 @@ def test_the_next_gates_are_seen_in_body_axes():
     assert scene.goal.shape == (1, 3, 3)
 
 
+def test_drones_aim_beyond_the_next_gate_and_farther_back_beside_its_axis():
+    blocks = ("gate_aim", "rank")
+    aviary = made("random", num_drones=3, dynamics="rigid_body", laps=1, observation=blocks)
+    for _ in range(20):
+        aviary.step(RNG.uniform(-1, 1, (1, 3, 3)))
+    seen = aviary.observer.observe(aviary.current_frame(), aviary.alive)[0]
+    memory = aviary.scene.memory
+    for i in range(3):
+        turn = Rotation.from_matrix(memory["gate_axis"][0, 0].T)
+        _, left, up = turn.inv().apply(aviary.swarm.position[0, i] - memory["gate"][0, 0])
+        aim = memory["gate"][0, 0] + turn.apply([2 - 2 * np.hypot(left, up), 0, 0])
+        np.testing.assert_allclose(seen[i, :3], aim - aviary.swarm.position[0, i], atol=1e-4)
+    assert sorted(seen[:, 3]) == [1, 2, 3]
+    memory["passed"][:] = 6
+    seen = aviary.observer.observe(aviary.current_frame(), aviary.alive)[0]
+    assert (seen[:, :3] == 0).all()  # after the last gate
+
+
 # Tracks
 
 

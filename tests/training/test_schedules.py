@@ -26,7 +26,7 @@ from bulletuav.training.trainer import train
 SWARM = {"dynamics": "single_integrator", "observation": ["goal_offset", "intruders"]}
 FLIGHTS = [name for name in list_tasks() if issubclass(find_task(name), GoalFlight | Default)]
 USER_TASKS = [name for name in list_tasks() if issubclass(find_task(name), UserService)]
-SERVICES = [name for name in USER_TASKS if name not in shipped_tasks()]
+SERVICES = [name for name in USER_TASKS if name not in (*shipped_tasks(), *OWN)]
 
 
 @pytest.mark.parametrize("task", list_tasks())
@@ -61,13 +61,16 @@ def test_settings_of_single_tasks_replace_those_of_their_kind(task):
     assert find_task(task).training_weights
     assert run.options.items() >= {"reward": "training", **own.get("options", {})}.items()
     assert run.model.items() >= own.get("model", {}).items()
-    assert run.worlds == 64
+    assert run.worlds == own.get("worlds", 64)
+    assert run.steps <= 1_200_000
     assert run.staggered
 
 
-def test_weights_for_training_of_hover_are_those_of_the_policy_in_the_package():
-    trained = EnvSpec("hover", 1, {"reward": "training"}).task.weights
-    assert trained == EnvSpec("hover", 1, dict(shipped_run("hover").options)).task.weights
+def test_drones_in_los_train_and_are_evaluated_for_the_duration_of_the_benchmark():
+    run, usual = default_run("los"), EnvSpec("los", 1, {})
+    duration = usual.options.horizon / usual.options.decision_hz
+    assert run.options["horizon"] / run.options["decision_hz"] == duration
+    assert run.evaluated["horizon"] / run.evaluated["decision_hz"] == duration
 
 
 @pytest.mark.parametrize("task", SERVICES)
@@ -83,7 +86,10 @@ def test_services_share_a_reward_and_observe_users_for_the_network_user_sum(task
 def test_weights_for_training_reward_the_service_that_decides_success_alone(task):
     weights = EnvSpec(task, 1, {"reward": "training"}).task.weights
     rewarded = {name: weight for name, weight in weights.items() if weight > 0}
-    assert rewarded == ({"tasks": 3.0} if "tasks" in weights else {"served": 3.0})
+    if task == "los":  # and the drone's own part of it
+        assert rewarded == {"served": 1.0, "sight": 0.3}
+    else:
+        assert rewarded == ({"tasks": 3.0} if "tasks" in weights else {"served": 3.0})
 
 
 def test_lidar_navigation_scales_its_own_term_for_training_too():
@@ -91,9 +97,8 @@ def test_lidar_navigation_scales_its_own_term_for_training_too():
     assert (weights["proximity"], weights["conflict"], weights["progress"]) == (-0.02, -6.0, 0.05)
 
 
-@pytest.mark.parametrize("task", ["hover", "mec"])
-def test_other_tasks_with_a_policy_in_the_package_keep_its_settings(task):
-    run, known = default_run(task), shipped_run(task)
+def test_other_tasks_with_a_policy_in_the_package_keep_its_settings():
+    run, known = default_run("mec"), shipped_run("mec")
     assert (run.model, run.steps) == (known.model, known.steps)
     assert "difficulty" not in run.options
 

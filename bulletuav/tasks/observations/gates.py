@@ -1,5 +1,6 @@
 """Observation blocks of the gates of a race."""
 
+import math
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,10 @@ from bulletuav.tasks.observations.base import require_task_memory
 
 PER_GATE = 10
 """Numbers per gate: position, direction, velocity (3 each) and width"""
+AIM_BEYOND = 2.0
+"""Distance beyond a gate at which a drone on its axis aims, m"""
+AIM_RETREAT = 2.0
+"""Distance by which a drone aims farther back per distance from the axis"""
 
 
 def gate_labels(task: Any) -> tuple[Label, ...]:
@@ -66,3 +71,53 @@ def next_gates(
             for axis in range(3):
                 out[PER_GATE * k + 3 * m + axis] = seen[m][axis]
         out[PER_GATE * k + 9] = all_gate_size[g]
+
+
+def aim_labels(task: Any) -> tuple[Label, ...]:
+    """Return the labels of the offset to the point to aim at."""
+    require_task_memory(task, "gate_aim", ("gate", "gate_axis"))
+    size = 4.0 * np.full(3, float(np.linalg.norm(task.arena_high - task.arena_low)))
+    return vector_labels("aim", "m", -size, size)
+
+
+@register("observation")
+@block(aim_labels)
+def gate_aim(
+    known_position: np.ndarray,
+    passed: float,
+    all_gate: np.ndarray,
+    all_gate_axis: np.ndarray,
+    laps: int,
+    out: np.ndarray,
+) -> None:
+    """Offset to a point on the axis of the next gate, in world axes: beyond it for a drone there.
+
+    For a drone beside the axis the point is farther back, so that flying towards it leads to the
+    axis before the gate. Zeros after the last gate.
+    """
+    count = len(all_gate)
+    if passed >= laps * count:
+        return
+    middle, ahead = all_gate[int(passed) % count], all_gate_axis[int(passed) % count, 0]
+    along, square = 0.0, 0.0
+    for axis in range(3):
+        offset = middle[axis] - known_position[axis]
+        along += ahead[axis] * offset
+        square += offset * offset
+    aside = math.sqrt(max(square - along * along, 0.0))
+    for axis in range(3):
+        offset = middle[axis] - known_position[axis]
+        out[axis] = offset + ahead[axis] * (AIM_BEYOND - AIM_RETREAT * aside)
+
+
+def rank_labels(task: Any) -> tuple[Label, ...]:
+    """Return the label of the rank."""
+    require_task_memory(task, "rank", ("rank",))
+    return (Label("rank", "1", 1.0, float(max(task.context.num_drones, 2))),)
+
+
+@register("observation")
+@block(rank_labels)
+def rank(rank: float) -> float:
+    """Rank in the race by the remaining distance, from 1; equal drones are ranked by index."""
+    return rank

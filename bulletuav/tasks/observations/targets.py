@@ -6,6 +6,7 @@ import numpy as np
 
 from bulletuav.registry import register
 from bulletuav.sensors.base import Label, vector_labels
+from bulletuav.sensors.sight import AHEAD
 from bulletuav.tasks.frame import Frame
 from bulletuav.tasks.ingredients import block
 from bulletuav.tasks.observations.base import Block, make_missing_error
@@ -45,6 +46,36 @@ def targets(task: Any) -> Block:
         return np.concatenate([offset, seen], axis=-1).reshape(*present.shape, len(labels))
 
     return Block(tuple(labels), compute)
+
+
+def _contribution_labels(task: Any) -> tuple[Label, ...]:
+    require_targets(task, "contribution_ahead")
+    ahead = [Label(f"contribution gain {way}", "%", -100.0, 100.0) for way in AHEAD]
+    return (Label("contribution", "%", 0.0, 100.0), *ahead)
+
+
+@register("observation")
+@block(_contribution_labels)
+def contribution_ahead(
+    i: int, all_present: np.ndarray, all_sight: np.ndarray, sight_ahead: np.ndarray, out: np.ndarray
+) -> None:
+    """Contribution: percentage of the targets that only the drone itself sees; and gains 30 m away.
+
+    A gain is the difference that a move of the drone alone would make to the contribution. The
+    places are those of the reading `sight_ahead`: east, north, west and south of the drone.
+    """
+    drones, count = all_sight.shape
+    for j in range(count):
+        is_seen = False
+        for k in range(drones):
+            is_seen = is_seen or (k != i and all_present[k] and all_sight[k, j])
+        if is_seen:
+            continue
+        here = 100.0 / count if all_sight[i, j] else 0.0
+        out[0] += here
+        for place in range(1, len(out)):
+            there = 100.0 / count if sight_ahead[(place - 1) * count + j] else 0.0
+            out[place] += there - here
 
 
 @register("observation")
