@@ -46,6 +46,7 @@ class Air(NamedTuple):
         force: (W, N, 3) external force on each drone, world axes, N.
         torque: (W, N, 3) external torque on each drone, body axes, N m.
         supply: (W, N) fraction of the commanded rotor speed that the battery's voltage supports.
+        rotor_ratio: (W, N, R) fraction of its commanded speed that each rotor reaches.
     """
 
     wind: np.ndarray
@@ -54,6 +55,7 @@ class Air(NamedTuple):
     force: np.ndarray
     torque: np.ndarray
     supply: np.ndarray
+    rotor_ratio: np.ndarray
 
 
 class Decision(NamedTuple):
@@ -145,6 +147,9 @@ class Dynamics(ABC):
             rays.
         feels_force: Whether the dynamics applies `air.force`.
         feels_torque: Whether the dynamics applies `air.torque`.
+        feels_rotors: Whether the dynamics applies `air.rotor_ratio`.
+        feels_mass: Whether the flight depends on the mass in `flight.parameters`.
+        feels_inertia: Whether the flight depends on the inertia in `flight.parameters`.
         contacts: Supported responses to contacts, the default first. "stop": a drone that touches
             something stays there until the decision ends. "impulse": contact impulses push the
             drone, and it slides and comes to rest; the velocities and rates of the swarm must be
@@ -156,12 +161,17 @@ class Dynamics(ABC):
         force: (W, N, 3) external force on each drone, world axes, N; zero unless written.
         torque: (W, N, 3) external torque on each drone, body axes, N m; zero unless written.
         supply: (W, N) fraction of the commanded rotor speed that motors reach; one unless written.
+        rotor_ratio: (W, N, R) square root of the effectiveness of each rotor, the fraction of its
+            commanded speed that it reaches; one unless written.
     """
 
     name: ClassVar[str]
     feels_surface: ClassVar[bool] = False
     feels_force: ClassVar[bool] = False
     feels_torque: ClassVar[bool] = False
+    feels_rotors: ClassVar[bool] = False
+    feels_mass: ClassVar[bool] = False
+    feels_inertia: ClassVar[bool] = False
     contacts: ClassVar[tuple[str, ...]] = ("stop", "impulse")
     sleeps: ClassVar[bool] = False
 
@@ -188,6 +198,8 @@ class Dynamics(ABC):
         gains = flight.parameters["ground_effect_gain"]
         self.force, self.torque = np.zeros((2, *flight.parameters.shape, 3))
         self.supply = np.ones(flight.parameters.shape)
+        rotors = max(int(flight.parameters["num_rotors"].max(initial=0)), 1)
+        self.rotor_ratio = np.ones((*flight.parameters.shape, rotors))
         self._near_ground = self.feels_surface and bool((gains > 0).any())
         self._placing: _Placing | None = None
 
@@ -302,7 +314,8 @@ class Dynamics(ABC):
         program.call(start_decision, self.contact, alive, flight.substeps * flight.dt)
         drones = DroneArrays(swarm, alive, flight.parameters)
         surface = np.full(alive.shape, -np.inf)
-        air = Air(wind, surface, flight.gravity, self.force, self.torque, self.supply)
+        rotors = (self.supply, self.rotor_ratio)
+        air = Air(wind, surface, flight.gravity, self.force, self.torque, *rotors)
         step = TimeStep(flight.substeps, flight.dt)
         decision = Decision(drones, setpoints, flight.cascade, air, step)
         if self._near_ground:

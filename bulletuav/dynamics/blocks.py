@@ -46,6 +46,7 @@ class Blocks(NamedTuple):
         together: (D,) bool, whether a drone is integrated with its block.
         wakes: Wakes that act on the group's drones.
         command: (G, N, R) commanded rotor speeds, rad/s.
+        ratio: (B, R, `WIDTH`) fractions of their commanded speeds that rotors reach.
         rotors: (5, R, `WIDTH`) rotor speeds of a block, commands, and speeds at the begin, middle
             and end of a substep, rad/s.
         alone: (3, R) rotor speeds of one drone at the begin, middle and end of a substep, rad/s.
@@ -65,6 +66,7 @@ class Blocks(NamedTuple):
     together: np.ndarray
     wakes: Wakes
     command: np.ndarray
+    ratio: np.ndarray
     rotors: np.ndarray
     alone: np.ndarray
     state: np.ndarray
@@ -97,6 +99,7 @@ class Blocks(NamedTuple):
             together=np.zeros(blocks * WIDTH, dtype=bool),
             wakes=Wakes.of(worlds, num_drones),
             command=np.zeros((worlds, num_drones, num_rotors)),
+            ratio=lane_zeros(blocks, num_rotors),
             rotors=lane_zeros(5, num_rotors),
             alone=np.zeros((3, num_rotors)),
             state=lane_zeros(13),
@@ -126,6 +129,9 @@ def pack_blocks(blocks: Any, air: Any, first: int) -> None:
             held[7 + k] = gathered(air.torque, drone, k)
         held[3] = gathered(air.surface, drone, 0)
         held[10] = gathered(air.supply, drone, 0)
+        ratio = lanes_of(blocks.ratio, b)
+        for r in range(air.rotor_ratio.shape[2]):
+            ratio[r] = gathered(air.rotor_ratio, drone, r)
         blocks.alike[b] = _are_alike(blocks, drone)
 
 
@@ -201,7 +207,8 @@ def fly_block(blocks: Any, first: int, b: int, gravity: float, dt: float) -> Non
         for r in range(row.num_rotors):
             command[r] = gathered(blocks.command, b * WIDTH, r)
     speeds = (lanes_of(blocks.rotors, 2), lanes_of(blocks.rotors, 3), lanes_of(blocks.rotors, 4))
-    rotors = turn_rotors(speed, command, held[10], lanes_of(blocks.lag, b), row, speeds)
+    motors = (held[10], lanes_of(blocks.ratio, b))
+    rotors = turn_rotors(speed, command, *motors, lanes_of(blocks.lag, b), row, speeds)
 
     # Surroundings
     near = is_near_surface(state[0][2] - held[3], state[2][2], dt, row)

@@ -109,6 +109,9 @@ class BulletDynamics(Dynamics):
     feels_surface = True
     feels_force = True
     feels_torque = True
+    feels_rotors = True
+    feels_mass = True
+    feels_inertia = True
     contacts = ("impulse", "stop", "bullet")
     sleeps = True
 

@@ -118,8 +118,9 @@ def drive(decision: Decision, scratch: Scratch) -> None:
                 winding = 0.0
                 for rotor in range(row.num_rotors):
                     now = swarm.rotor_speed[w, i, rotor]
-                    # A low battery voltage limits the rotor speed
-                    after = rotor_speed_after(now, air.supply[w, i] * command[rotor], decay)
+                    # A low battery voltage and weak motors limit the rotor speed
+                    wanted = air.supply[w, i] * (air.rotor_ratio[w, i, rotor] * command[rotor])
+                    after = rotor_speed_after(now, wanted, decay)
                     swarm.rotor_speed[w, i, rotor] = after
                     speed[rotor] = after
                     # Reaction torque of the rotors' angular acceleration

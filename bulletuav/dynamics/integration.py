@@ -153,6 +153,7 @@ def turn_rotors(
     speed: np.ndarray,
     command: np.ndarray,
     supply: float,
+    ratio: np.ndarray,
     decay: np.ndarray,
     row: np.record,
     speeds: Speeds,
@@ -163,6 +164,7 @@ def turn_rotors(
         speed: (R,) rotor speeds, rad/s; updated.
         command: (R,) commanded speeds, rad/s.
         supply: Fraction of the commanded speeds that the rotors reach.
+        ratio: (R,) further such factor of each rotor.
         decay: (6,) decay factors of the drone, from `lag_stages`.
         row: Row of `PARAMETERS`.
         speeds: Rotor speeds at the begin, middle and end of the substep, rad/s; written.
@@ -178,7 +180,7 @@ def turn_rotors(
     winding0 = winding1 = winding2 = 0.0
     for rotor in range(row.num_rotors):
         now = speed[rotor]
-        wanted = supply * command[rotor]
+        wanted = supply * (ratio[rotor] * command[rotor])
         begin[rotor] = rotor_speed_after(now, wanted, at_begin)
         middle[rotor] = rotor_speed_after(now, wanted, at_middle)
         end[rotor] = rotor_speed_after(now, wanted, at_end)

@@ -320,4 +320,5 @@ class PointMass(Kinematic):
     name = "point_mass"
     consumes = SetpointLevel.VELOCITY
     feels_force = True
+    feels_mass = True
     kind = POINT_MASS

@@ -44,7 +44,8 @@ def _fly_alone(
     alone = blocks.alone
     speeds = (alone[0], alone[1], alone[2])
     command, decay = blocks.command[w - first, i], blocks.decay[w - first, i]
-    rotors = turn_rotors(swarm.rotor_speed[w, i], command, air.supply[w, i], decay, row, speeds)
+    motors = (air.supply[w, i], air.rotor_ratio[w, i])
+    rotors = turn_rotors(swarm.rotor_speed[w, i], command, *motors, decay, row, speeds)
     around = surroundings(air, w, i, blocks.wakes.felt[w - first])
     state = get_state(swarm, w, i)
     if contact.asleep[w, i]:
@@ -151,6 +152,9 @@ class RigidBody(Dynamics):
     feels_surface = True
     feels_force = True
     feels_torque = True
+    feels_rotors = True
+    feels_mass = True
+    feels_inertia = True
     contacts = ("impulse", "stop")
     sleeps = True
 

@@ -30,6 +30,7 @@ from bulletuav.envs.airspace_inputs import (
 from bulletuav.envs.airspace_simulation import AirspaceSimulation
 from bulletuav.envs.airspace_world import ALL, AirspaceWorld
 from bulletuav.envs.bodies import Body, Motion, check_velocities, set_body
+from bulletuav.envs.conditions import Condition, apply_condition, check_condition
 from bulletuav.envs.descriptions import describe_parts, faces_of
 from bulletuav.envs.environment import Environment, exclusive, in_plain_python
 from bulletuav.envs.marks import drone_marks
@@ -37,9 +38,7 @@ from bulletuav.envs.renderer import FIELD_OF_VIEW
 from bulletuav.envs.snapshot import (
     Snapshot,
     SnapshotLayout,
-    hash_array_rows,
     own_snapshot,
-    pack_worlds,
     require_contacts,
     require_snapshot,
 )
@@ -54,7 +53,7 @@ from bulletuav.vehicle.wind import MAX_WIND
 
 UP, NORTH = np.array((0.0, 0.0, 1.0)), np.array((0.0, 1.0, 0.0))
 CHANGES = (
-    *("step", "place", "command", "apply", "set_wind"),
+    *("step", "place", "command", "apply", "set_condition", "set_wind"),
     *("place_obstacle", "add_body", "move_body", "remove_body", "load_state"),
 )
 """Methods of an `Airspace` that change its state"""
@@ -456,6 +455,71 @@ class Airspace(Environment):
         dynamics.torque[0, rows] += twist
 
     @exclusive
+    def set_condition(
+        self,
+        drones: Drones,
+        *,
+        rotor_effectiveness: Any = None,
+        added_mass: Any = None,
+        added_inertia: Any = None,
+    ) -> None:
+        """Change drones in flight, from the next step on: rotors, mass and inertia.
+
+        Conditions stay until they are set again, also over `place`. They are absolute: an added
+        mass of 0 removes the earlier one. Controllers know the nominal airframe only. See
+        `bulletuav.envs.conditions`.
+
+        Args:
+            drones: Index of a drone, several indices, a mask (N,), or None for all.
+            rotor_effectiveness: (R,) fraction of the commanded thrust and torque that each rotor
+                provides, from 0 (failed) to 1, or a row for each of the drones.
+            added_mass: Mass in addition to the drone's own, at its centre of mass, kg, such as of a
+                parcel, or one for each of the drones. It may be negative.
+            added_inertia: (3,) moments of inertia about the body axes in addition to the drone's
+                own, kg m^2, or a row for each of the drones.
+
+        Raises:
+            ValueError: If there is no such drone, no condition is given, a number is invalid, the
+                dynamics ignores a condition, or a drone would have less than a tenth or more than
+                ten times the mass or inertia of its airframe; nothing is changed.
+        """
+        self._require_open()
+        world = self.world
+        rows, count = rows_of(drones, len(self.airframes))
+        given = Condition(rotor_effectiveness, added_mass, added_inertia)
+        rotors = np.atleast_1d(world.parameters["num_rotors"][0, rows])
+        checked = check_condition(given, world.dynamics, rotors, count)
+        apply_condition(world, 0, rows, checked)
+
+    @property
+    def rotor_effectiveness(self) -> np.ndarray:
+        """(N, R) fraction of the commanded thrust that each rotor provides; see `set_condition`."""
+        effectiveness: np.ndarray = self.world.dynamics.rotor_ratio[0] ** 2
+        return effectiveness
+
+    @exclusive
+    def rotor_commands(self) -> np.ndarray:
+        """Compute the rotor speeds that the controllers command at the present state.
+
+        They follow from the held setpoints, and are those of the next substep. A control allocation
+        of your own can take them as the demand of the controller, and command other speeds with
+        `SetpointLevel.ROTOR`. Integrals and observers of the controllers do not advance here.
+
+        Returns:
+            (N, R) rad/s, a new array; 0 for rotors that a drone lacks.
+
+        Raises:
+            ValueError: If the dynamics has no rotors.
+        """
+        self._require_open()
+        if self.consumes < SetpointLevel.ROTOR:
+            raise ValueError(
+                f"dynamics {self._options.dynamics_name!r} has no rotors: use 'rigid_body' or "
+                f"'bullet'"
+            )
+        return self.world.rotor_commands()
+
+    @exclusive
     def set_wind(self, wind: Sequence[float]) -> None:
         """Set the steady wind from the next step on; gusts and wind profiles continue.
 
@@ -538,7 +602,7 @@ class Airspace(Environment):
     def state_hash(self) -> str:
         """Compute a hash of the state; see `Aviary.state_hash`."""
         self._require_open()
-        (digest,) = hash_array_rows(pack_worlds(self.world.state_arrays(), self.world.rng, ONLY))
+        (digest,) = self.world.state_hashes(self.world.rng, ONLY)
         return digest
 
     def _layout(self) -> SnapshotLayout:

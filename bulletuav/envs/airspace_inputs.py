@@ -71,6 +71,7 @@ TASK_OPTIONS = (
     "battery_capacity",
     "energy",
     "bodies",
+    "events",
 )
 """Options that apply to tasks only"""
 

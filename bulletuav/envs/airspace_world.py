@@ -7,12 +7,13 @@ import numpy as np
 from bulletuav.compiled.kernel import kernel
 from bulletuav.contact.contacts import find_overlaps, replace_scenery
 from bulletuav.contact.time_of_impact import CONTACT_DISTANCE
-from bulletuav.control.setpoint import SetpointLevel
+from bulletuav.control.setpoint import SetpointLevel, Setpoints
+from bulletuav.dynamics.setpoints import convert
 from bulletuav.engine.parking import PARKING_HEIGHT
 from bulletuav.envs.airspace_inputs import UPRIGHT, YAW
 from bulletuav.envs.bodies import Motion, follow_motion, park_body, set_body
 from bulletuav.envs.options import EnvOptions
-from bulletuav.envs.parts import BODY_BOUNDS, Parts, sensor_setup
+from bulletuav.envs.parts import BODY_BOUNDS, CONDITION_BOUNDS, Parts, sensor_setup
 from bulletuav.envs.snapshot import Bounds, contact_bounds, state_bounds
 from bulletuav.envs.state import STATE, AirspaceState, Sizes, with_prefix
 from bulletuav.geometry.obstacle import Obstacle
@@ -195,6 +196,17 @@ class AirspaceWorld(Parts):
             drones = np.atleast_1d(np.arange(state.levels.shape[1])[rows])[free]
             state.setpoint[0, drones, YAW] = yaws(state.swarm.quaternion)[0, drones]
 
+    def rotor_commands(self) -> np.ndarray:
+        """Compute the rotor speeds (N, R) that controllers command at the present state, rad/s."""
+        state, flight = self.state, self.dynamics.flight
+        # Controllers advance their memory: here a copy of it
+        cascade = self.cascade._replace(memory=self.cascade.memory.copy())
+        setpoints = Setpoints(state.levels, state.setpoint)
+        drones = DroneArrays(state.swarm, state.alive, self.parameters)
+        commands = (SetpointLevel.ROTOR, drones, cascade, flight.dt, flight.gravity)
+        speeds: np.ndarray = convert(setpoints, *commands)[0]
+        return speeds
+
     def measure(self) -> None:
         """Measure with all sensors, and store the state for the next finite differences."""
         if not self.sensors.sensors:
@@ -234,6 +246,7 @@ class AirspaceWorld(Parts):
             **with_prefix("before", self.state.before._asdict()),
             **{f"reading {name}": array[None] for name, array in self.readings.items()},
             **{name: array for part in parts for name, array in part.kept().items()},
+            **self.condition_arrays(),
         }
 
     def bounds(self) -> Bounds:
@@ -243,6 +256,7 @@ class AirspaceWorld(Parts):
             **self.state.bounds(),
             "levels": (0, int(self.dynamics.consumes)),
             **self.sensors.kept_bounds(),
+            **CONDITION_BOUNDS,
             **contact_bounds(self.engine.scenery),
             **BODY_BOUNDS,
         }

@@ -19,9 +19,7 @@ from bulletuav.envs.simulation import Simulation
 from bulletuav.envs.snapshot import (
     Snapshot,
     SnapshotLayout,
-    hash_array_rows,
     own_snapshot,
-    pack_worlds,
     require_contacts,
     require_parts,
     require_snapshot,
@@ -406,7 +404,7 @@ class Aviary(Environment):
         """
         self.require_started()
         chosen = self._spec.indices(worlds)
-        return hash_array_rows(pack_worlds(self.worlds.state_arrays(), self.rng, chosen))
+        return self.worlds.state_hashes(self.rng, chosen)
 
     @exclusive
     def require_loadable(self, snapshot: Snapshot) -> None:

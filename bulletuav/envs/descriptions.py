@@ -69,6 +69,7 @@ def describe_options(options: EnvOptions, config: Any) -> dict[str, Any]:
         "wind": "function" if callable(options.wind) else options.wind,
         "randomization": random,
         "bodies": describe_bodies(options.bodies),
+        "events": [event.described() for event in options.events],
         "dynamics": options.dynamics_name,
         "observation": observed and [observation_name(one) for one in observed],
         "sensors": [find_sensor(one).name for one in options.sensors],

@@ -165,10 +165,13 @@ class EpisodeStart:
             worlds.rng[k] = rng
         for k, members in zip(indices, self._drawn_members, strict=False):
             worlds.members[k] = members
-        if worlds.wind.is_gusty or worlds.uncertainty.drawn:
+        has_events = bool(worlds.schedule.events)
+        if worlds.wind.is_gusty or worlds.uncertainty.drawn or has_events:
             for k, rng in zip(indices, generators, strict=True):
                 worlds.wind.reset(k, rng)
                 worlds.uncertainty.reset(k, rng)
+                if has_events:
+                    worlds.schedule.reset(k, rng)
         worlds.forget_derived()
         self._start.run()
 

@@ -11,6 +11,7 @@ from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.dynamics import DEFAULT_DYNAMICS, find_dynamics
 from bulletuav.engine.engine import RAY_METHODS
 from bulletuav.envs.bodies import BodiesOption, as_bodies
+from bulletuav.envs.events import Event, as_events
 from bulletuav.envs.randomization import CERTAIN, Randomization
 from bulletuav.envs.rates import MAX_HZ, decision_rate, picture_rate
 from bulletuav.envs.viewer import DEFAULT_ADDRESS, VIEWERS, parse_address
@@ -116,6 +117,8 @@ class EnvOptions:
             the wind speed at 20 feet that scales them, m/s.
         randomization: Randomized parameters, such as {"gps_noise": 1.0}; see
             `bulletuav.envs.randomization.Randomization`.
+        events: Changes during each episode, at fixed or random times, such as the failure of a
+            rotor: events, or dicts of the attributes of `bulletuav.envs.events.Event`.
         camera: Renderer of the drones' cameras (observations "rgb", "depth", "segmentation"):
             "compiled" (exact depths, collision shapes, flat colours), or "bullet" (PyBullet's
             TinyRenderer, a hundredth of the speed, with the visual shapes of drones and facades).
@@ -193,6 +196,7 @@ class EnvOptions:
     wind_profile: Profile | None = None
     turbulence: str | float | None = None
     randomization: Randomization = CERTAIN
+    events: tuple[Event, ...] = ()
     camera: str = "compiled"
     camera_size: tuple[int, int] = (64, 48)
     camera_hz: int | None = None
@@ -252,6 +256,7 @@ class EnvOptions:
         for name in ("normalise", "integral", "debug", "action_masks"):
             as_bool(name, getattr(self, name))
         self._keep("bodies", as_bodies(self.bodies))
+        self._keep("events", as_events(self.events))
         self._check_reward()
         self._check_sensors()
         self._check_cameras()

@@ -3,6 +3,7 @@
 import operator
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 
 import numpy as np
 
@@ -19,7 +20,13 @@ from bulletuav.envs.bodies import MAX_SPEED, MAX_SPIN
 from bulletuav.envs.options import EnvOptions
 from bulletuav.envs.randomization import Uncertainty
 from bulletuav.envs.renderer import Renderer
-from bulletuav.envs.snapshot import BODIES, Bounds, SnapshotLayout
+from bulletuav.envs.snapshot import (
+    BODIES,
+    Bounds,
+    SnapshotLayout,
+    hash_array_rows,
+    pack_worlds,
+)
 from bulletuav.geometry.obstacle import MAX_SIZE, Obstacle
 from bulletuav.geometry.solids import Solids
 from bulletuav.sensors.base import Sensor, SensorSetup
@@ -39,6 +46,8 @@ BODY_BOUNDS: Bounds = {
     "body spin": (-MAX_SPIN, MAX_SPIN),
 }
 """Bounds of these arrays in snapshots"""
+CONDITION_BOUNDS: Bounds = MappingProxyType({"rotor ratio": (0.0, 1.0)})
+"""Bounds of `Parts.condition_arrays`"""
 
 
 class Parts(ABC):
@@ -116,6 +125,21 @@ class Parts(ABC):
         if not len(bodies.reach):
             return {}
         return {f"body {name}": getattr(bodies, name) for name in BODY_STATE}
+
+    def condition_arrays(self) -> dict[str, np.ndarray]:
+        """Return the arrays (W, ...) by name that `conditions` change."""
+        return {"rotor ratio": self.dynamics.rotor_ratio}
+
+    def state_hashes(self, rng: list[np.random.Generator], worlds: np.ndarray) -> tuple[str, ...]:
+        """Return a hash of the state of worlds (S,), with their random generators."""
+        data, ratio = pack_worlds(self.state_arrays(), rng, worlds), self.dynamics.rotor_ratio
+        weak = (ratio[worlds] != 1.0).any(axis=(1, 2))
+        # Worlds without weak rotors have the hash of their other arrays
+        rows = [
+            np.append(row, ratio[w].ravel().view(np.uint8)) if is_weak else row
+            for w, row, is_weak in zip(worlds.tolist(), data, weak.tolist(), strict=True)
+        ]
+        return hash_array_rows(rows)
 
     @abstractmethod
     def state_arrays(self) -> dict[str, np.ndarray]:

@@ -14,6 +14,8 @@ from bulletuav.vehicle.wind import Wind
 
 Range = float | tuple[float, float]
 
+MIN_MASS_RATIO, MAX_MASS_RATIO = 0.1, 10.0
+"""Bounds of mass and inertia of a drone in flight, divided by those of its airframe"""
 MIN_THRUST_FRACTION = 0.5
 """Fraction of the thrust that is left with a low battery"""
 DRONES = {
@@ -157,6 +159,15 @@ class Randomization:
         return f"Randomization({self.ranges})"
 
 
+def _require_ratio(parameter: str, ratio: np.ndarray) -> None:
+    """Raise ValueError for a mass or inertia far from that of the airframe."""
+    if not ((ratio >= MIN_MASS_RATIO) & (ratio <= MAX_MASS_RATIO)).all():
+        raise ValueError(
+            f"added_{parameter} would make a drone's {parameter} {float(ratio.flat[0]):.3g} times "
+            f"that of its airframe: from {MIN_MASS_RATIO:g} to {MAX_MASS_RATIO:g} times is possible"
+        )
+
+
 class Uncertainty:
     """Applies a `Randomization` to W worlds of N drones.
 
@@ -178,6 +189,8 @@ class Uncertainty:
         """
         self._engine, self._wind = engine, wind
         self._parameters, self._nominal = parameters, parameters.copy()
+        # Worlds in which masses may differ from the nominal ones
+        self._loaded = np.zeros(len(parameters), dtype=bool)
         worlds, drones = parameters.shape
         widths = {name: drones if spec.known[name].per == "drone" else 1 for name in spec.active}
         widths |= {"wind": 3} if "wind" in widths else {}
@@ -193,19 +206,73 @@ class Uncertainty:
             for parameter in FACTORS.get(name, ()):
                 nominal = self._nominal[parameter][world]
                 self._parameters[parameter][world] = (nominal.T * values[world]).T
-        if "mass" in self.drawn:
-            mass, inertia = self._parameters["mass"][world], self._parameters["inertia"][world]
-            self._engine.set_masses(world, mass, inertia)
+        if self._loaded[world]:
+            self._loaded[world] = False
+            for parameter in FACTORS["mass"]:
+                self._parameters[parameter][world] = self._drawn_mass(parameter, world)
+            self._set_masses(world)
+        elif "mass" in self.drawn:
+            self._set_masses(world)
         if "wind" in self.drawn:
             self._wind.steady[world] = self._wind.given + self.drawn["wind"][world]
+
+    def _drawn_mass(self, parameter: str, world: int) -> np.ndarray:
+        """Return the masses (N,) or inertias (N, 3) of the drones without added ones."""
+        nominal: np.ndarray = self._nominal[parameter][world]
+        factor = self.drawn["mass"][world] if "mass" in self.drawn else 1.0
+        drawn: np.ndarray = (nominal.T * factor).T
+        return drawn
+
+    def _set_masses(self, world: int) -> None:
+        row = self._parameters[world]
+        self._engine.set_masses(world, row["mass"], row["inertia"])
+
+    def load_drones(
+        self, world: int, rows: Any, mass: np.ndarray | None, inertia: np.ndarray | None
+    ) -> None:
+        """Set what drones carry in addition to their drawn masses and inertias.
+
+        Args:
+            world: Index of the world.
+            rows: Drones, as an index into an axis of N.
+            mass: Added mass, kg, or one for each of the drones; None for no change.
+            inertia: (3,) added moments of inertia, kg m^2, or rows; None for no change.
+
+        Raises:
+            ValueError: If a mass or moment would be below `MIN_MASS_RATIO` of the airframe's, or
+                above `MAX_MASS_RATIO` of it; nothing is changed.
+        """
+        given = {"mass": mass, "inertia": inertia}
+        wanted = {
+            parameter: self._drawn_mass(parameter, world)[rows] + added
+            for parameter, added in given.items()
+            if added is not None
+        }
+        for parameter, values in wanted.items():
+            _require_ratio(parameter, values / self._nominal[parameter][world, rows])
+        for parameter, values in wanted.items():
+            self._parameters[parameter][world, rows] = values
+        self._loaded[world] = True
+        self._set_masses(world)
+
+    def require_load(self, rows: Any, mass: np.ndarray | None, inertia: np.ndarray | None) -> None:
+        """Raise the errors of `load_drones` that any draw of an episode may lead to."""
+        for parameter, added in {"mass": mass, "inertia": inertia}.items():
+            if added is not None:
+                own = self._nominal[parameter][0, rows]
+                for factor in self._bounds.get("mass", (1.0,)):
+                    _require_ratio(parameter, (factor * own + added) / own)
 
     def restore(self, worlds: np.ndarray) -> None:
         """Update the engine after `drawn` and parameters were written in worlds (S,)."""
         self._info = None
-        if "mass" in self.drawn:
-            for w in worlds.tolist():
-                row = self._parameters[w]
-                self._engine.set_masses(w, row["mass"], row["inertia"])
+        for w in worlds.tolist():
+            row, nominal = self._parameters[w], self._nominal[w]
+            is_loaded = any((row[name] != nominal[name]).any() for name in FACTORS["mass"])
+            # A world that had added masses before has to lose them
+            if is_loaded or self._loaded[w] or "mass" in self.drawn:
+                self._loaded[w] = is_loaded
+                self._set_masses(w)
 
     @property
     def drains(self) -> bool:

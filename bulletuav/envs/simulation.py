@@ -39,7 +39,7 @@ class Simulation:
             first_seed: Seed of the first world if a reset has none.
         """
         self.worlds = worlds
-        self.stages: tuple[Stage, ...] = decision_stages()
+        self.stages: tuple[Stage, ...] = decision_stages(bool(worlds.schedule.events))
         self.start = EpisodeStart(worlds, first_seed)
         self.program: Program | None = None
         self._staged: tuple[Program, dict[str, Program]] | None = None

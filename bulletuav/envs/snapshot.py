@@ -2,7 +2,7 @@
 
 import hashlib
 import math
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, cast
@@ -550,8 +550,8 @@ def _columns(data: np.ndarray, fields: Fields) -> Iterator[tuple[str, np.ndarray
             yield f"{name}.{field}", np.ascontiguousarray(values[field])
 
 
-def hash_array_rows(data: np.ndarray) -> tuple[str, ...]:
-    """Return the hash of each row of bytes (S, B)."""
+def hash_array_rows(data: Iterable[np.ndarray]) -> tuple[str, ...]:
+    """Return the hash of each row of bytes."""
     return tuple(hashlib.blake2b(row.tobytes(), digest_size=16).hexdigest() for row in data)
 
 

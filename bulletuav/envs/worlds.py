@@ -3,10 +3,11 @@
 import numpy as np
 
 from bulletuav.envs.action_masks import ActionMasks, response_of
+from bulletuav.envs.conditions import Schedule
 from bulletuav.envs.contact_record import ContactRecord
 from bulletuav.envs.energy import Energy
 from bulletuav.envs.env_spec import EnvSpec
-from bulletuav.envs.parts import BODY_BOUNDS, Parts
+from bulletuav.envs.parts import BODY_BOUNDS, CONDITION_BOUNDS, Parts
 from bulletuav.envs.results import Results
 from bulletuav.envs.snapshot import UNSTARTED, Bounds, contact_bounds, state_bounds
 from bulletuav.envs.state import LAST, STATE, Sizes, State, with_prefix
@@ -30,6 +31,7 @@ class Worlds(Parts):
         action: Definition of actions.
         observer: Computes observations.
         energy: Batteries and power consumption.
+        schedule: Events of the episodes.
         state: All arrays.
         frame: View of the state for tasks, sensors and observations.
         account: Separations, distances and collisions of the decision, which are also in the frame.
@@ -60,6 +62,7 @@ class Worlds(Parts):
         self.spec, self.task, self.action = spec, task, spec.action
         self.observer, self.num_worlds = spec.observer, spec.num_worlds
         self.energy = Energy(options, self.parameters, self.dynamics.supply)
+        self.schedule = Schedule(self, self.energy)
         self.contacts = ContactRecord(self.dynamics)
         self.rng: list[np.random.Generator] = [UNSTARTED] * self.num_worlds
         self.bodies = WorldBodies(options.bodies, self.engine)
@@ -177,6 +180,7 @@ class Worlds(Parts):
             "charge": self.energy.readings()["charge"],
             **self.body_arrays(),
             **({"members": self.members} if self.options.has_absent else {}),
+            **self.schedule.arrays(),
         }
 
     def last_arrays(self) -> dict[str, np.ndarray]:
@@ -187,6 +191,7 @@ class Worlds(Parts):
             **with_prefix("before", self.state.before._asdict()),
             **with_prefix("reading", self.readings),
             **self.state.kept(LAST),
+            **self.condition_arrays(),
         }
 
     def bounds(self) -> Bounds:
@@ -197,6 +202,8 @@ class Worlds(Parts):
             "layout": (NO_LAYOUT, len(self.task.layouts()) - 1),
             **{f"memory {name}": one for name, one in self.task.memory_bounds().items()},
             **self.sensors.kept_bounds(),
+            **CONDITION_BOUNDS,
+            **self.schedule.bounds(),
             **contact_bounds(self.engine.scenery),
             **BODY_BOUNDS,
         }

@@ -122,6 +122,7 @@ def roll_out(
         np.zeros((1, num_drones, 3)),
         np.zeros((1, num_drones, 3)),
         np.ones((1, num_drones)),
+        np.ones((1, num_drones, num_rotors)),
     )
     for k in range(3):
         air.torque[0, 0, k] = torque_bias[k]
@@ -152,7 +153,8 @@ def roll_out(
                 sum_wakes(in_memory(swarm), alive, parameters, 0, 1, False, 0.0, in_memory(wakes))
             for r in range(num_rotors):
                 wanted[0, r] = command[now, r]
-            rotors = turn_rotors(swarm.rotor_speed[0, 0], wanted[0], 1.0, decay[0], row, speeds)
+            motors = (1.0, air.rotor_ratio[0, 0])
+            rotors = turn_rotors(swarm.rotor_speed[0, 0], wanted[0], *motors, decay[0], row, speeds)
             around = surroundings(air, 0, 0, wakes.felt[0])
             state = rk4(get_state(swarm, 0, 0), speeds, rotors, dt, around, row)
             if legs.guided:

@@ -173,7 +173,7 @@ def test_recording_changes_no_bit():
 
 READS = {
     *("require_level", "save_state", "state_hash", "render", "picture", "draw", "shot"),
-    *("scene_poses", "close"),
+    *("scene_poses", "rotor_commands", "close"),
 }
 """Methods that leave the flight unchanged"""
 BY_OTHERS = {"stop", "warm_up"}

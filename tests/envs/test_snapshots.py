@@ -13,6 +13,7 @@ from gymnasium.vector import AutoresetMode
 import bulletuav
 from bulletuav.envs.descriptions import WITHOUT_EFFECT, canonical_text, describe_parts
 from bulletuav.envs.env_spec import EnvSpec
+from bulletuav.envs.events import as_events
 from bulletuav.envs.gymnasium import CentralAviary, CentralVectorAviary
 from bulletuav.envs.options import EnvOptions
 from bulletuav.envs.snapshot import EnvironmentSnapshot, Form, Snapshot, checksum_of
@@ -738,6 +739,7 @@ def test_every_option_is_among_the_parts_of_a_snapshot_or_without_effect(task):
     parts = describe_parts(spec.options, spec.task)
     values = {one: getattr(other.options, one) for one in ("airframe", "randomization", "sensors")}
     values |= {"observation": other.options.observation, "reward": {"mine": (len, 0.1)}}
+    values["events"] = as_events({"time": 1.0, "added_mass": 0.01})
     for field in dataclasses.fields(EnvOptions):
         value = values.get(field.name, ANOTHER)
         found = describe_parts(changed(spec.options, field.name, value), spec.task)

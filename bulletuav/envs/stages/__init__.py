@@ -4,6 +4,7 @@ from bulletuav.envs.stages.admit import Admit
 from bulletuav.envs.stages.airspace import CountStep, FlyCommands, MeasureAll, MoveAndTurn, ShowLive
 from bulletuav.envs.stages.base import Stage
 from bulletuav.envs.stages.energy import DrainBatteries
+from bulletuav.envs.stages.events import ApplyEvents
 from bulletuav.envs.stages.fly import Fly
 from bulletuav.envs.stages.judge import Judge
 from bulletuav.envs.stages.keep_before import KeepBefore
@@ -21,10 +22,11 @@ from bulletuav.envs.stages.wind import SampleWind
 __all__ = ["Stage", "airspace_stages", "decision_stages"]
 
 
-def decision_stages() -> tuple[Stage, ...]:
-    """Return the stages of a decision."""
+def decision_stages(has_events: bool = False) -> tuple[Stage, ...]:
+    """Return the stages of a decision; the option `events` adds one."""
     return (
         Admit(),
+        *((ApplyEvents(),) if has_events else ()),
         SampleWind(),
         KeepBefore(),
         MoveScene(),
