@@ -2,12 +2,13 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from bulletuav.city.import_report import Notebook
+from bulletuav.city.import_report import FIRST_SHOWN, ImportReport, Notebook
 from bulletuav.city.model import City
 from bulletuav.city.streets import Streets, free_streets
 from bulletuav.engine.tiles import TILE_PITCH
@@ -19,7 +20,7 @@ FLUSH = 1e-9
 MIN_HEIGHT = 0.01
 MAX_HEIGHT = 2000.0
 """Maximum height of a building, m: drones that do not fly are kept above"""
-REMEDY = "give the path of a .geojson, .json or .obj file"
+REMEDY = "give the path of a .geojson, .json (GeoJSON, Overpass JSON, CityJSON) or .obj file"
 
 
 def check_flags(**flags: Any) -> None:
@@ -75,8 +76,7 @@ def assemble(
             square, or there is no free ground.
     """
     if not pieces:
-        mended = notes.report().summary()
-        raise ValueError(f"{path} contains no buildings" + (mended and f": {mended}"))
+        raise ValueError(f"{path} contains no buildings{_why_none(notes.report())}")
     # The extent of the pieces must fit into a world
     corners = np.concatenate([points for _, points in pieces])
     low = corners[:, :2].min(axis=0)
@@ -120,6 +120,15 @@ def assemble(
     with naming(path):
         streets = free_streets(bare.side, bare.outdoors)
     return replace(bare, streets=streets, report=notes.warn())
+
+
+def _why_none(report: ImportReport) -> str:
+    """Return the findings of the import of a file without buildings."""
+    others = ", ".join(
+        f"{count} {kind}" for kind, count in islice(report.others.items(), FIRST_SHOWN)
+    )
+    found = [report.summary(), others and f"there are only features of other kinds ({others})"]
+    return "".join(f": {one}" for one in found if one)
 
 
 def _hull(points: np.ndarray, where: str) -> tuple[np.ndarray, bool]:

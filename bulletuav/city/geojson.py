@@ -1,16 +1,20 @@
-"""Import of cities from GeoJSON files: building footprints with heights."""
+"""Import of cities from JSON files: GeoJSON, Overpass JSON and CityJSON."""
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from bulletuav.city.assembly import REMEDY, assemble, check_extent, check_flags
+from bulletuav.city.building_tags import find_other_kind, has_building_tags, read_tags
+from bulletuav.city.cityjson import read_buildings
 from bulletuav.city.import_report import Notebook
 from bulletuav.city.model import City
+from bulletuav.city.overpass import Feature, read_elements
 from bulletuav.city.polygons import SLIVER, area_of, convex_pieces, extruded, import_shapely
+from bulletuav.city.reference_systems import convert_to_degrees, read_code
 from bulletuav.city.tags import HeightReader
 from bulletuav.earth.geodesy import degree_lengths
 from bulletuav.errors import require_file, shown
@@ -21,6 +25,7 @@ MIN_AREA = 1e-18
 
 OTHERS = ("Point", "MultiPoint", "LineString", "MultiLineString", "GeometryCollection")
 """Geometry types that are not footprints"""
+NONE_OF = "not a FeatureCollection (GeoJSON), Overpass JSON with `elements`, or CityJSON"
 COVERED = 0.9
 """Minimum fraction of an outline that its parts must cover to avoid a warning"""
 
@@ -54,12 +59,20 @@ def from_geojson(
     metres: bool = False,
     strict: bool = False,
 ) -> City:
-    """Read a city from a FeatureCollection of building footprints.
+    """Read a city from GeoJSON, Overpass JSON or CityJSON.
 
-    Footprints are Polygons or MultiPolygons. They are cut into convex pieces; courtyards stay open.
-    Coordinates are degrees of longitude and latitude (RFC 7946). They are projected around the
-    centre of all footprints such that meridians and the central parallel keep their length. The
-    function requires the extra `city`.
+    GeoJSON is a FeatureCollection of building footprints, which are Polygons or MultiPolygons. They
+    are cut into convex pieces; courtyards stay open. Coordinates are degrees of longitude and
+    latitude (RFC 7946), or have a member `crs`. They are projected around the centre of all
+    footprints such that meridians and the central parallel keep their length. The function requires
+    the extra `city`.
+
+    Overpass JSON has `elements`, with the geometries of `out geom` or the nodes of ways. CityJSON
+    is read by `cityjson.read_buildings`.
+
+    Of areas with tags of OpenStreetMap, only buildings and building parts above the ground are
+    read. Others, such as land use, water, and demolished or underground buildings, are counted in
+    the report. In a file without tags of buildings, each area without such a tag is a building.
 
     Properties are read as OpenStreetMap defines them. A height may have a unit ("40 ft"); of a list
     ("12;14") the maximum is used. Without a height, `building:levels` and `roof:levels` define it,
@@ -74,7 +87,8 @@ def from_geojson(
         height: Property with the height of a building, m.
         default_height: Height of buildings without height and levels, m; None for an estimate of 10
             m.
-        metres: Whether coordinates are metres east and north instead of degrees.
+        metres: Whether coordinates are metres east and north instead of degrees. A member `crs` is
+            not needed then.
         strict: Whether to raise an error instead of repairing, estimating or skipping.
 
     Returns:
@@ -83,7 +97,7 @@ def from_geojson(
     Raises:
         FileNotFoundError: If there is no such file.
         ImportError: If the extra `city` is not installed.
-        ValueError: If the file is not a FeatureCollection, coordinates are not degrees, the city
+        ValueError: If the file is none of the three, coordinates are not degrees, the city
             does not fit into `side` or a world, an option is invalid, or `strict` forbids a repair,
             an estimate or a skipped feature; the message names the feature.
     """
@@ -92,10 +106,22 @@ def from_geojson(
     notes = Notebook(path, strict)
     reader = HeightReader(height, default_height, notes)
     shapely = import_shapely("reading GeoJSON")
-    footprints = _footprints(path, notes)
+    content = read_json(path, "GeoJSON")
+    if not isinstance(content, dict):
+        raise ValueError(f"{path} is {NONE_OF}")
+    if content.get("type") == "CityJSON":
+        if metres:
+            raise ValueError(f"metres has no effect for CityJSON such as {path}: leave it out")
+        return assemble(path, read_buildings(path, content, reader, notes), side, notes)
+    code = read_code(path, content.get("crs"))
+    if metres and content.get("crs") is not None and code is None:
+        raise ValueError(f"metres is True, and {path} has a crs in degrees: leave metres out")
+    footprints = _footprints(path, content, height, notes)
     # Project to metres around the centre, unless the file is in metres
     if footprints:
         shapes = np.array([footprint.shape for footprint in footprints])
+        if code is not None and not metres:
+            shapes = convert_to_degrees(shapes, code, path)
         if not metres:
             shapes = _projected(shapes, path)
         west, south, east, north = shapely.total_bounds(shapes)
@@ -114,27 +140,43 @@ def from_geojson(
     return assemble(path, pieces, side, notes)
 
 
-def _footprints(path: Path, notes: Notebook) -> list[Footprint]:
-    """Read the features with a footprint, in the coordinates of the file."""
-    content = read_json(path, "GeoJSON")
-    if not isinstance(content, dict) or not isinstance(content.get("features"), list):
-        raise ValueError(f"{path} is not a FeatureCollection")
-    found = []
-    # Unusable features are noted and skipped
+def _features(path: Path, content: Mapping[str, Any], notes: Notebook) -> Iterator[Feature]:
+    """Yield the features of GeoJSON or Overpass JSON."""
+    if isinstance(content.get("elements"), list):
+        if "remark" in content:
+            notes.add("skipped", "remark", f"the server reports {shown(content['remark'])}")
+        yield from read_elements(content["elements"])
+        return
+    if not isinstance(content.get("features"), list):
+        raise ValueError(f"{path} is {NONE_OF}")
     for k, feature in enumerate(content["features"]):
-        where = f"feature {k} (from 0)"
-        shape = _shape(feature, where, notes)
-        if shape is not None:
-            properties = feature.get("properties")
-            known = properties if isinstance(properties, dict) else {}
-            found.append(Footprint(where, where, known, shape))
+        known = feature if isinstance(feature, dict) else {}
+        tags = read_tags(known.get("properties"))
+        yield Feature(f"feature {k} (from 0)", tags, known.get("geometry"))
+
+
+def _footprints(
+    path: Path, content: Mapping[str, Any], height: str, notes: Notebook
+) -> list[Footprint]:
+    """Read the features with a footprint, in the coordinates of the file."""
+    features = list(_features(path, content, notes))
+    is_tagged = has_building_tags(feature.tags for feature in features)
+    found = []
+    # Features that are no buildings, or unusable, are noted and skipped
+    for where, tags, geometry, problem in features:
+        kind = find_other_kind(tags, height, is_tagged) if tags or geometry is not None else None
+        if kind is not None:
+            notes.add("other", where, kind)
+        elif problem:
+            notes.add("skipped", where, problem)
+        elif (shape := _shape(geometry, where, notes)) is not None:
+            found.append(Footprint(where, where, tags, shape))
     return found
 
 
-def _shape(feature: Any, where: str, notes: Notebook) -> Any:
-    """Return the footprint of a feature as a valid two-dimensional shapely geometry, or None."""
+def _shape(geometry: Any, where: str, notes: Notebook) -> Any:
+    """Return the footprint of a geometry as a valid two-dimensional shapely geometry, or None."""
     shapely = import_shapely("reading GeoJSON")
-    geometry = feature.get("geometry") if isinstance(feature, dict) else None
     if not isinstance(geometry, dict):
         notes.add(
             "skipped",

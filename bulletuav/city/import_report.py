@@ -36,6 +36,7 @@ KINDS = {
     "uncovered": NoteKind("outlines replaced by parts that cover less than 90 %", True, True),
     "unit": NoteKind("heights with a unit or a decimal comma", False, True),
     "default": NoteKind("missing heights, set to the default height", False, False),
+    "other": NoteKind("no buildings above the ground, left out", False, False),
     "outline": NoteKind("outlines replaced by their parts", False, False),
     "above": NoteKind("parts above the ground", False, False),
     "moved": NoteKind("buildings put on the ground", False, False),
@@ -102,6 +103,12 @@ class ImportReport:
     def first(self, kind: str) -> list[str]:
         """List the features of the first notes of a kind."""
         return [note.where for note in self.notes if note.kind == kind][:FIRST_SHOWN]
+
+    @property
+    def others(self) -> dict[str, int]:
+        """Number of features that are no buildings, by the key of their tag, largest first."""
+        kinds = Counter(note.what.partition("=")[0] for note in self.notes if note.kind == "other")
+        return dict(kinds.most_common())
 
     def summary(self) -> str:
         """Return a one-line summary of all repairs; empty if there are none."""

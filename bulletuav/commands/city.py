@@ -123,6 +123,7 @@ def _described_import(report: ImportReport) -> dict[str, Any]:
     return {
         "file": str(report.path),
         "counts": report.counts,
+        "others": report.others,
         "notes": [note._asdict() for note in report.notes],
         "splits": [split._asdict() for split in report.splits],
     }
@@ -135,7 +136,10 @@ def _report_table(report: ImportReport) -> Table:
     table.add_column("change")
     table.add_column("first locations")
     for kind, count in report.counts.items():
-        table.add_row(str(count), NOTE_KINDS[kind].meaning, ", ".join(report.first(kind)))
+        meaning = NOTE_KINDS[kind].meaning
+        if kind == "other":
+            meaning += ": " + ", ".join(f"{of} {name}" for name, of in report.others.items())
+        table.add_row(str(count), meaning, ", ".join(report.first(kind)))
     if report.splits:
         excess = max(abs(one.pieces_volume / one.mesh_volume - 1) for one in report.splits)
         beyond = max(one.beyond for one in report.splits)

@@ -28,7 +28,7 @@ def progress(remaining_distance: float, remaining_distance_before: float) -> flo
 
 @reward
 def gate(passing: float) -> float:
-    """1 if a gate was passed."""
+    """Count the gates that were passed, at most 1 unless gates are very close."""
     return passing
 
 

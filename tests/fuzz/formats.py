@@ -121,6 +121,44 @@ def read_geojson(folder):
     from_geojson(path)
 
 
+def make_overpass(folder):
+    ring = [(0, 0), (0.0004, 0), (0.0004, 0.0003), (0, 0.0003)]
+    nodes = [{"type": "node", "id": k, "lon": x, "lat": y} for k, (x, y) in enumerate(ring)]
+    tags = {"building": "yes", "height": "9 m"}
+    ways = [
+        {"type": "way", "id": 10, "nodes": [0, 1, 2, 3, 0], "tags": tags},
+        {"type": "way", "id": 11, "nodes": [0, 1, 2]},
+        {"type": "way", "id": 12, "geometry": [{"lon": x, "lat": y} for x, y in ring[2:]]},
+    ]
+    ways[2]["geometry"].append({"lon": 0, "lat": 0})
+    members = [{"type": "way", "ref": ref, "role": "outer"} for ref in (11, 12)]
+    relation = {"type": "relation", "id": 20, "members": members}
+    relation["tags"] = {**tags, "type": "multipolygon"}
+    text = json.dumps({"version": 0.6, "elements": [*nodes, *ways, relation]})
+    (folder / "town.json").write_text(text)
+
+
+def make_cityjson(folder):
+    low = [[x, y, 0] for x, y in ((0, 0), (9000, 0), (9000, 9000), (0, 9000))]
+    high = [[x, y, 7000] for x, y, _ in low]
+    roof = [[4, 5, 6, 7]]
+    solid = {"type": "Solid", "lod": "1.2", "boundaries": [[[[0, 3, 2, 1]], roof]]}
+    flat = {"type": "MultiSurface", "lod": "0", "boundaries": [[[0, 1, 2, 3]]]}
+    objects = {
+        "a": {"type": "Building", "geometry": [solid, flat], "children": ["b"]},
+        "b": {"type": "BuildingPart", "geometry": [flat], "parents": ["a"]},
+        "c": {"type": "Building", "geometry": [flat], "attributes": {"measuredHeight": 5}},
+    }
+    transform = {"scale": [0.001, 0.001, 0.001], "translate": [0, 0, 2]}
+    content = {"type": "CityJSON", "version": "2.0", "transform": transform}
+    text = json.dumps({**content, "CityObjects": objects, "vertices": low + high})
+    (folder / "town.json").write_text(text)
+
+
+def read_json_city(folder):
+    from_geojson(folder / "town.json", side=200.0)
+
+
 def make_urdf(folder):
     shutil.copy(bulletuav.load_airframe("cf2x").urdf, folder / "own.urdf")
 
@@ -162,8 +200,28 @@ def make_track(folder):
     (folder / "own.toml").write_text(gates)
 
 
-def read_track(folder):
-    gates = load_track(folder / "own.toml", RandomTrack(4, 20.0, (2.0, 4.0), 0.0, "mixed", 1.5))
+def make_csv_track(folder):
+    rows = "x,y,z,yaw,shape,size\n0,0,3,0,square,1.5\n20,0,3,90,round,\n20,0,3,-90,round,\n"
+    (folder / "own.csv").write_text(rows)
+
+
+def make_json_track(folder):
+    gates = [{"name": "a", "position": [0, 0, 3]}, {"position": [20, 0, 3], "heading": 20.0}]
+    gates.append({"position": [40, 0, 3], "quaternion": [0, 0, 0.6, 0.8]})
+    order = ["a", 1, {"gate": 2, "reverse": True}, {"gate": "a", "reverse": True}]
+    (folder / "own.json").write_text(json.dumps({"gates": gates, "order": order}))
+
+
+def read_csv_track(folder):
+    read_track(folder, "own.csv")
+
+
+def read_json_track(folder):
+    read_track(folder, "own.json")
+
+
+def read_track(folder, name="own.toml"):
+    gates = load_track(folder / name, RandomTrack(4, 20.0, (2.0, 4.0), 0.0, "mixed", 1.5))
     try:
         starts = place_start_blocks(gates, 2)
     except ValueError as error:  # of a race, which has a name for its track
@@ -398,10 +456,14 @@ def read_city(folder):
 FORMATS = {
     "obj": Format("town.obj", "text", make_obj, read_city),
     "geojson": Format("town.geojson", "json", make_geojson, read_geojson, 2),
+    "overpass": Format("town.json", "json", make_overpass, read_json_city, 2),
+    "cityjson": Format("town.json", "json", make_cityjson, read_json_city, 2),
     "urdf": Format("own.urdf", "text", make_urdf, read_urdf, 2),
     "urdf mesh": Format("hull.obj", "text", make_hull_urdf, read_hull_urdf),
     "visual mesh": Format("body.obj", "text", make_visual_urdf, read_urdf),
     "track": Format("own.toml", "text", make_track, read_track, 2),
+    "csv track": Format("own.csv", "text", make_csv_track, read_csv_track),
+    "json track": Format("own.json", "json", make_json_track, read_json_track, 2),
     "run.yaml": Format("run.yaml", "yaml", make_run, read_run_yaml, 2),
     "study.yaml": Format("study.yaml", "yaml", make_study, read_study),
     "trajectory.npz": Format("trajectory.npz", "npz", make_recording, read_recording, 2),

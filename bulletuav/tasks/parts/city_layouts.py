@@ -50,8 +50,8 @@ class CityOptions:
 
     Attributes:
         city: "suburban", "urban", "dense" or "high_rise"; "open" for none; (alpha, beta, gamma),
-            see `bulletuav.city.statistics.Statistics`; the path of a .geojson or .obj file; or a
-            `City`.
+            see `bulletuav.city.statistics.Statistics`; the path of a .geojson, .json or .obj
+            file; or a `City`.
         area: Side of the city's square, or its lengths along x and y, m. Cities from files have
             their smallest bounding square.
         irregularity: Irregularity of the city, from 0, a regular grid, to 1.

@@ -6,7 +6,7 @@ polygon perpendicular to x: the area that the bars leave free.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -79,6 +79,11 @@ class Gate:
         return x, y, z, w
 
 
+def reverse_gate(gate: Gate) -> Gate:
+    """Return the gate with the same frame that is flown in the opposite direction."""
+    return replace(gate, yaw=gate.yaw + 180.0, pitch=-gate.pitch, roll=-gate.roll)
+
+
 def make_gate_frame(gate: Gate) -> list[Obstacle]:
     """Return the bars of a gate's frame, one per side; they overlap at the corners."""
     length = 2 * (gate.size / 2 + BAR) * float(tan(math.pi / gate.sides))
@@ -145,48 +150,55 @@ def cross_gates(
         sides: (G,) numbers of sides of the openings.
         passed: (W, N) number of gates passed in order; updated.
         split: (W, N, L) times of passing each gate of all laps, s; updated.
-        passing: (W, N) output: 1 if a gate was passed in this decision, else 0.
-        missing: (W, N) output: 1 if the gate's plane was crossed beside the opening, else 0.
+        passing: (W, N) output: number of gates passed in this decision.
+        missing: (W, N) output: 1 if the next gate's plane was crossed beside the opening, else 0.
     """
     for w in range(before.shape[0]):
         for i in range(before.shape[1]):
             passing[w, i] = 0.0
             missing[w, i] = 0.0
-            # Skip drones that finished or do not fly
-            turn = int(passed[w, i])
-            if not flown[w, i] or turn >= split.shape[2]:
+            if not flown[w, i]:
                 continue
-            g = turn % gate.shape[1]
-            # Positions in the gate's axes, before and after
-            x0, y0, z0, x1, y1, z1 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-            for k in range(3):
-                old = before[w, i, k] - gate_before[w, g, k]
-                new = after[w, i, k] - gate[w, g, k]
-                x0 += axis[w, g, 0, k] * old
-                y0 += axis[w, g, 1, k] * old
-                z0 += axis[w, g, 2, k] * old
-                x1 += axis[w, g, 0, k] * new
-                y1 += axis[w, g, 1, k] * new
-                z1 += axis[w, g, 2, k] * new
-            # The plane has to be crossed forwards
-            if not (x0 < 0.0 and x1 >= 0.0):
-                continue
-            # Point and time of crossing
-            share = x0 / (x0 - x1)
-            y = y0 + share * (y1 - y0)
-            z = z0 + share * (z1 - z0)
-            # Maximum distance from the centre, along the normals of the polygon's sides
-            out = 0.0
-            for side in range(sides[g]):
-                angle = 2.0 * math.pi * side / sides[g]
-                out = max(out, y * cos(angle) + z * sin(angle))
-            # Through the opening, or close enough beside it to be a miss
-            if out <= 0.5 * size[w, g]:
-                passing[w, i] = 1.0
-                split[w, i, turn] = time[w] - (1.0 - share) * period
-                passed[w, i] += 1.0
-            elif y * y + z * z <= (MISS_RANGE * size[w, g]) ** 2:
-                missing[w, i] = 1.0
+            # A fast drone may pass several close gates in a decision, each later than the one
+            # before it; drones that finished have no next gate
+            last = -1.0
+            for turn in range(int(passed[w, i]), split.shape[2]):
+                g = turn % gate.shape[1]
+                # Positions in the gate's axes, before and after
+                x0, y0, z0, x1, y1, z1 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+                for k in range(3):
+                    old = before[w, i, k] - gate_before[w, g, k]
+                    new = after[w, i, k] - gate[w, g, k]
+                    x0 += axis[w, g, 0, k] * old
+                    y0 += axis[w, g, 1, k] * old
+                    z0 += axis[w, g, 2, k] * old
+                    x1 += axis[w, g, 0, k] * new
+                    y1 += axis[w, g, 1, k] * new
+                    z1 += axis[w, g, 2, k] * new
+                # The plane has to be crossed forwards
+                if not (x0 < 0.0 and x1 >= 0.0):
+                    break
+                # Point and time of crossing
+                share = x0 / (x0 - x1)
+                if share <= last:
+                    break
+                last = share
+                y = y0 + share * (y1 - y0)
+                z = z0 + share * (z1 - z0)
+                # Maximum distance from the centre, along the normals of the polygon's sides
+                out = 0.0
+                for side in range(sides[g]):
+                    angle = 2.0 * math.pi * side / sides[g]
+                    out = max(out, y * cos(angle) + z * sin(angle))
+                # Through the opening, or close enough beside it to be a miss
+                if out <= 0.5 * size[w, g]:
+                    passing[w, i] += 1.0
+                    split[w, i, turn] = time[w] - (1.0 - share) * period
+                    passed[w, i] += 1.0
+                    continue
+                if passing[w, i] == 0.0 and y * y + z * z <= (MISS_RANGE * size[w, g]) ** 2:
+                    missing[w, i] = 1.0
+                break
 
 
 @kernel

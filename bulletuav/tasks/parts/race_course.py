@@ -8,6 +8,7 @@ import numpy as np
 from bulletuav.compiled.functions import cos, sin
 from bulletuav.tasks.config import TaskConfig
 from bulletuav.tasks.frame import Scene, Spawn, TaskContext
+from bulletuav.tasks.parts.gate_frames import find_frames
 from bulletuav.tasks.parts.gates import Gate, bar_poses, gate_axes, make_gate_frame
 from bulletuav.tasks.parts.tracks import (
     RANDOM,
@@ -28,7 +29,7 @@ class RaceConfig(TaskConfig):
 
     Attributes:
         track: "random" for a track drawn for each episode, the name of a track of the package, or
-            the path of a TOML file.
+            the path of a TOML, YAML, JSON or CSV file.
         laps: Number of laps through all gates.
         num_gates: Number of gates of a random track.
         track_radius: Maximum distance of a gate of a random track from the centre, m.
@@ -67,9 +68,9 @@ class RaceCourse:
     """Gates of a race, given or drawn for each episode.
 
     Attributes:
-        gates: Number of gates.
+        gates: Number of gates of a lap; a gate that is flown twice counts twice.
         turns: Number of gates of all laps.
-        bodies: Bars of all gates.
+        bodies: Bars of all frames.
         sides: (G,) numbers of sides of the openings.
         widest, narrowest: Width of the widest and of the narrowest opening, m.
         fastest: Maximum speed of oscillating gates, m/s; 1 if gates do not move.
@@ -98,14 +99,18 @@ class RaceCourse:
         # All random tracks have the same bars, in different poses
         some = self._given or self._drawn(np.random.default_rng(0))
         self.gates, self.turns = len(some), config.laps * len(some)
-        self.bodies = tuple(bar for gate in some for bar in make_gate_frame(gate))
+        # Each gate's frame, and the gates that have the frames
+        self._frame = find_frames(some)
+        self._framed = np.unique(self._frame)
+        frames = [some[k] for k in self._framed]
+        self.bodies = tuple(bar for gate in frames for bar in make_gate_frame(gate))
         self.sides = np.array([gate.sides for gate in some])
         sizes = [gate.size for gate in some]
         self.widest, self.narrowest = max(sizes), min(sizes)
         self._rate = 2 * np.pi / config.gate_period if config.gate_motion else 0.0
         self._speed = self._rate * config.gate_motion
         self.fastest = self._speed or 1.0
-        self._gate_index = bar_poses(some)[0]
+        self._gate_index = self._framed[bar_poses(frames)[0]]
         self.arena = self._lay_out(some)
 
     def _read(self) -> tuple[Gate, ...]:
@@ -157,10 +162,15 @@ class RaceCourse:
     def spawn(self, rng: np.random.Generator) -> Spawn:
         """Draw a track, unless given, and the phases of its gates; place drones on blocks."""
         gates = self._given or self._drawn(rng)
-        phase = rng.uniform(-np.pi, np.pi, len(gates))
         middle, axis = np.array([gate.position for gate in gates]), gate_axes(gates)
+        # Gates with the same frame oscillate together, also if their y axes are opposite
+        phase = np.zeros(len(gates))
+        phase[self._framed] = rng.uniform(-np.pi, np.pi, len(self._framed))
+        is_opposite = (axis[:, 1] * axis[self._frame, 1]).sum(axis=1) < 0
+        phase = phase[self._frame] + np.pi * is_opposite
         (aside,), (velocity,) = self.swing(np.zeros(1), axis[None], phase[None])
-        gate_index, offset, turn = bar_poses(gates)
+        _, offset, turn = bar_poses([gates[k] for k in self._framed])
+        gate_index = self._gate_index
         now = middle + aside
         memory = {
             "gate": now,

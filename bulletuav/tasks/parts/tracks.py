@@ -1,27 +1,26 @@
 """Race tracks: read from files, drawn at random, and checked for whether they can be flown."""
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from bulletuav.compiled.functions import atan2, cos, hypot, sin
-from bulletuav.errors import require_file, shown, suggest_names, unknown
-from bulletuav.parsing import read_toml
-from bulletuav.tasks.parts.gates import Gate, gate_axes
+from bulletuav.errors import find_choice, require_file, shown, unknown
+from bulletuav.tasks.parts.gate_frames import do_intersect, find_frames, make_bars
+from bulletuav.tasks.parts.gates import BAR, Gate, gate_axes
+from bulletuav.tasks.parts.track_files import TRACK_READERS, read_track
 from bulletuav.vehicle.airframes import URDF_FOLDER
 
 RANDOM = "random"
 """Name of tracks that are drawn for each episode"""
-GATE_FIELDS = ("position", "yaw", "pitch", "roll", "shape", "size")
-"""Fields of a gate in a file; only `position` is required"""
 CLEAR_LENGTH = 3.0
 """Length that must be clear before and behind a gate, m"""
 MIN_CLEARANCE = 0.5
 """Distance of this clear path from frames and from the ground, m"""
+START_HEIGHT = 1.5
+"""Height above a starting block that frames of other gates leave free, m"""
 BLOCKS_PER_ROW = 4
 """Number of starting blocks in a row"""
 BLOCK_SPACING, ROW_SPACING = 2.0, 2.5
@@ -37,6 +36,8 @@ MAX_YAW_OFFSET = 15.0
 
 TRACK_FOLDER = URDF_FOLDER.parent / "tracks"
 """Folder of the tracks of the package"""
+
+ENDINGS = ", ".join(TRACK_READERS)
 
 
 @dataclass(frozen=True)
@@ -99,12 +100,11 @@ def load_track(source: object, usual: RandomTrack) -> tuple[Gate, ...]:
     """Read a track.
 
     Args:
-        source: Name of a track, or the path of a TOML file with a table `[[gates]]` for each gate,
-            in the order of flight, with the fields of `Gate`; angles and shape are optional.
+        source: Name of a track, or the path of a TOML, YAML, JSON or CSV file; see `read_track`.
         usual: Default shape and size of gates.
 
     Returns:
-        The gates.
+        The gates in the order of flight, one per passage.
 
     Raises:
         FileNotFoundError: If the file does not exist.
@@ -114,34 +114,20 @@ def load_track(source: object, usual: RandomTrack) -> tuple[Gate, ...]:
     if not isinstance(source, str | Path):
         raise ValueError(
             f"track is {shown(source)}: {RANDOM!r}, a name such as {names[0]!r}, or the path of a "
-            f".toml file is needed"
+            f"{ENDINGS} file is needed"
         )
-    if isinstance(source, str) and not source.endswith(".toml"):
+    is_file = isinstance(source, Path) or Path(source).suffix.lower() in TRACK_READERS
+    if isinstance(source, str) and not is_file:
+        if Path(source).suffix:
+            raise ValueError(f"track {shown(source)} is no {ENDINGS} file, and no name of a track")
         if source not in names:
             raise unknown("track", source, (RANDOM, *names))
         source = TRACK_FOLDER / f"{source}.toml"
-    path = require_file("track", source, f"choose from {', '.join(names)}, or give a .toml file")
-    tables = read_toml(path).get("gates")
-    if not isinstance(tables, list) or len(tables) < 2:
-        raise ValueError(f"track {path} has {shown(tables)} as gates: two or more are needed")
-    return tuple(_gate_of(path, k, table, usual) for k, table in enumerate(tables))
-
-
-def _gate_of(path: Path, k: int, table: object, usual: RandomTrack) -> Gate:
-    """Create a gate from its table in a file. Raises ValueError if the table is invalid."""
-    label = f"gate {k} of track {path}"
-    if not isinstance(table, dict):
-        raise ValueError(f"{label} is {shown(table)}: a table [[gates]] is needed")
-    for name in table:
-        if name not in GATE_FIELDS:
-            raise ValueError(f"{label} has {shown(name)}: {suggest_names(name, GATE_FIELDS)}")
-    if "position" not in table:
-        raise ValueError(f"{label} has no position: position = [x, y, z] is needed, m")
-    given: Mapping[str, Any] = {"shape": usual.shape_of(k), "size": usual.size, **table}
-    try:
-        return Gate(**given)
-    except (ValueError, TypeError) as error:
-        raise ValueError(f"{label}: {error}") from None
+    path = require_file(
+        "track", source, f"choose from {', '.join(names)}, or give a {ENDINGS} file"
+    )
+    find_choice(f"kind of file for track {str(path)!r},", path.suffix.lower(), TRACK_READERS)
+    return read_track(path, lambda k: {"shape": usual.shape_of(k), "size": usual.size})
 
 
 def place_start_blocks(gates: tuple[Gate, ...], drones: int) -> np.ndarray:
@@ -176,7 +162,48 @@ def place_start_blocks(gates: tuple[Gate, ...], drones: int) -> np.ndarray:
 def find_track_error(
     gates: tuple[Gate, ...], start: np.ndarray, radius: float, motion: float
 ) -> str | None:
-    """Return the reason why a track cannot be flown, or None.
+    """Return the reason why a track of a file cannot be flown, or None.
+
+    Frames may be close to each other, or above each other, as long as they do not intersect. Gates
+    of equal poses, or of opposite directions, are passages of one frame.
+
+    Args:
+        gates: Gates in the order of flight.
+        start: (N, 3) start positions, m.
+        radius: Collision radius of the drones, m.
+        motion: Amplitude of the gates' oscillation, m.
+    """
+    frames = np.unique(find_frames(gates)).tolist()
+    bars = {k: make_bars(gates[k], motion) for k in frames}
+    columns = np.repeat(
+        np.diag((MIN_CLEARANCE, MIN_CLEARANCE, START_HEIGHT / 2))[None], len(start), 0
+    )
+    above = start + np.array((0.0, 0.0, START_HEIGHT / 2))
+    for k in frames:
+        gate = gates[k]
+        label = _label(gates, k)
+        if (found := _narrow_or_low(gate, label, radius, 0.0, radius)) is not None:
+            return found
+        if do_intersect(*bars[k], above, columns):
+            return (
+                f"{label} is less than {MIN_CLEARANCE:g} m from a starting block, or from the "
+                f"{START_HEIGHT:g} m above it: move it"
+            )
+        for other in frames[: frames.index(k)]:
+            apart = gate.reach + gates[other].reach + 2 * motion
+            offset = np.subtract(gate.position, gates[other].position)
+            if (offset**2).sum() < apart**2 and do_intersect(*bars[k], *bars[other]):
+                return (
+                    f"{_label(gates, other)} and {label} overlap, with bars {BAR:g} m thick: move "
+                    f"one, make its size smaller, or use equal poses if they are one gate"
+                )
+    return None
+
+
+def find_spacing_error(
+    gates: tuple[Gate, ...], start: np.ndarray, radius: float, motion: float
+) -> str | None:
+    """Return the reason why a drawn track has too little space between gates, or None.
 
     Args:
         gates: Gates in the order of flight.
@@ -197,11 +224,9 @@ def find_track_error(
     np.fill_diagonal(off, np.inf)
     block = np.sqrt(((start[:, None] - middle) ** 2).sum(axis=-1)).min(axis=0)
     for k, gate in enumerate(gates):
-        label = f"gate {k} at {shown(gate.position)} m"
-        if gate.size <= 2 * radius:
-            return f"{label} is {gate.size:g} m wide, and a drone is {2 * radius:.3g} m: widen it"
-        if middle[k, 2] < reach[k] and middle[k, 2] < _depth(gate):
-            return f"{label} reaches into the ground: raise it"
+        label = _label(gates, k)
+        if (found := _narrow_or_low(gate, label, radius, BAR, MIN_CLEARANCE)) is not None:
+            return found
         if (gap[k] < apart[k]).any():
             other = int((gap[k] < apart[k]).argmax())
             return (
@@ -213,21 +238,46 @@ def find_track_error(
                 f"{label} is blocked by gate {int((off[k] < clear).argmax())}: "
                 f"{CLEAR_LENGTH:g} m before and behind it have to be clear; turn or move it"
             )
-        if middle[k, 2] - CLEAR_LENGTH * abs(forward[k, 2]) < MIN_CLEARANCE:
-            return (
-                f"{label} faces the ground: the path through it is below {MIN_CLEARANCE:g} m at "
-                f"{CLEAR_LENGTH:g} m from it; raise it, or lower its pitch"
-            )
         if block[k] < clear[k]:
             return f"{label} is {block[k]:.3g} m from a starting block: {clear[k]:.3g} m are needed"
     return None
 
 
-def _depth(gate: Gate) -> float:
-    """Return how far a frame extends below its centre, m."""
+def _label(gates: tuple[Gate, ...], k: int) -> str:
+    return f"gate {k} at {shown(gates[k].position)} m"
+
+
+def _narrow_or_low(
+    gate: Gate, label: str, radius: float, bar: float, clearance: float
+) -> str | None:
+    """Return the reason why a gate is too narrow or too low, or None.
+
+    Args:
+        gate: The gate.
+        label: Its name.
+        radius: Collision radius of the drones, m.
+        bar: Thickness of bars that have to be above the ground, m.
+        clearance: Distance of the path through the gate from the ground, m.
+    """
+    if gate.size <= 2 * radius:
+        return f"{label} is {gate.size:g} m wide, and a drone is {2 * radius:.3g} m: widen it"
+    height, climb = gate.position[2], gate_axes([gate])[0, 0, 2]
+    if height < _depth(gate, bar):
+        return f"{label} reaches into the ground: raise it"
+    if height - CLEAR_LENGTH * abs(climb) < clearance:
+        return (
+            f"{label} faces the ground: the path through it is below {clearance:g} m at "
+            f"{CLEAR_LENGTH:g} m from it; raise it, or lower its pitch"
+        )
+    return None
+
+
+def _depth(gate: Gate, bar: float) -> float:
+    """Return how far an opening with bars of a thickness extends below its centre, m."""
     _, left, up = gate_axes([gate])[0]
     steps = 2 * math.pi * (np.arange(gate.sides) + 0.5) / gate.sides
-    return float(-gate.reach * (cos(steps) * left[2] + sin(steps) * up[2]).min())
+    reach = (gate.size / 2 + bar) / float(cos(math.pi / gate.sides))
+    return float(-reach * (cos(steps) * left[2] + sin(steps) * up[2]).min())
 
 
 def draw_track(
@@ -248,7 +298,7 @@ def draw_track(
     found = None
     for _ in range(MAX_TRIES):
         gates = like.draw(rng)
-        found = find_track_error(gates, place_start_blocks(gates, drones), radius, motion)
+        found = find_spacing_error(gates, place_start_blocks(gates, drones), radius, motion)
         if found is None:
             return gates
     raise ValueError(
