@@ -13,9 +13,9 @@ from multiprocessing.connection import Connection
 from typing import Any, BinaryIO
 
 from bulletuav.bridges.airsim_images import Exposure, make_response
-from bulletuav.city.coacd_child import end_with_parent
 from bulletuav.engine.body_table import Contents
 from bulletuav.engine.visual_scene import ScenePoses, VisualScene
+from bulletuav.geometry.coacd_child import end_with_parent
 
 LENGTH_PREFIX = struct.Struct(">Q")
 """Prefix of each response: its number of bytes"""

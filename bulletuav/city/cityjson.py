@@ -13,7 +13,7 @@ import numpy as np
 from bulletuav.city.assembly import MIN_HEIGHT
 from bulletuav.city.building_tags import MAX_NAME
 from bulletuav.city.import_report import Notebook
-from bulletuav.city.polygons import SLIVER, area_of, convex_pieces, extruded, import_shapely
+from bulletuav.geometry.polygons import SLIVER, area_of, convex_pieces, extruded, import_shapely
 from bulletuav.city.reference_systems import DEGREES, find_code
 from bulletuav.city.tags import HeightReader
 from bulletuav.errors import numbers_of, shown

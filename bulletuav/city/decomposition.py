@@ -5,12 +5,11 @@ from collections.abc import Iterator
 import numpy as np
 
 from bulletuav.city.assembly import check_extent
-from bulletuav.city.decomposer import REMEDY, Decomposer
 from bulletuav.city.import_report import Notebook, Split
-from bulletuav.city.mesh import Mesh, components, outside, outward, prism_pieces, volume
+from bulletuav.geometry.decomposer import Decomposer
+from bulletuav.geometry.mesh import Mesh, components, outside, outward, volume
+from bulletuav.geometry.mesh_split import hull_volume, is_filled, split_concave
 
-FILLED = 1e-4
-"""Relative volume difference to the hull up to which a mesh counts as convex"""
 SAMPLES = 300
 """Number of surface samples per piece, besides its corners"""
 CHUNK = 64
@@ -45,7 +44,7 @@ def split_mesh(
         collision-aware concavity and tree search", ACM Trans. Graph. 41 (2022).
     """
     parts = components(mesh)
-    hulls = [_hull_volume(part.points) for part in parts]
+    hulls = [hull_volume(part.points) for part in parts]
     for part, hull in zip(parts, hulls, strict=True):
         if hull > 0:
             yield from _split_component(part, hull, where, notes, decompose)
@@ -54,7 +53,7 @@ def split_mesh(
         return
     # Disconnected flat walls form a building together; next to solid components they are skipped
     walls = np.concatenate([np.zeros((0, 3)), *flat])
-    if not any(hulls) and _hull_volume(walls) > 0:
+    if not any(hulls) and hull_volume(walls) > 0:
         notes.add("hull", where, "its mesh is not closed")
         yield walls
     else:
@@ -62,38 +61,23 @@ def split_mesh(
 
 
 def _split_component(
-    mesh: Mesh, hull_volume: float, where: str, notes: Notebook, decompose: Decomposer
+    mesh: Mesh, size: float, where: str, notes: Notebook, decompose: Decomposer
 ) -> Iterator[np.ndarray]:
-    """Split a mesh whose convex hull has the volume `hull_volume`, m^3, into convex pieces."""
+    """Split a mesh whose convex hull has the volume `size`, m^3, into convex pieces."""
     closed = outward(mesh)
     if closed is None:
         notes.add("hull", where, "its mesh is not closed")
         yield mesh.points
         return
     check_extent(notes.path, mesh.points[:, :2].min(axis=0), mesh.points[:, :2].max(axis=0), None)
-    filled = volume(closed)
-    if filled >= (1 - FILLED) * hull_volume:
+    if is_filled(closed, size):
         yield mesh.points
     else:
-        pieces = prism_pieces(closed, filled) or decompose(closed, f"{notes.path}, {where}")
-        # CoACD returns flat pieces for some self-intersecting meshes
-        sizes = [_hull_volume(piece) for piece in pieces]
-        pieces = [piece for piece, size in zip(pieces, sizes, strict=True) if size > 0]
-        if not pieces:
-            raise ValueError(f"{notes.path}, {where}: its pieces have no volume: {REMEDY}")
+        pieces = split_concave(closed, f"{notes.path}, {where}", decompose)
+        total = sum(map(hull_volume, pieces))
         beyond = max(float(_outside_distances(closed, piece).max()) for piece in pieces)
-        notes.splits.append(Split(where, len(pieces), filled, sum(sizes), beyond))
+        notes.splits.append(Split(where, len(pieces), volume(closed), total, beyond))
         yield from pieces
-
-
-def _hull_volume(points: np.ndarray) -> float:
-    """Return the volume of the convex hull of points (V, 3), m^3; 0 if degenerate."""
-    from scipy.spatial import ConvexHull, QhullError  # lazy: slow to import
-
-    try:
-        return float(ConvexHull(points).volume)
-    except (QhullError, ValueError):
-        return 0.0
 
 
 def _outside_distances(mesh: Mesh, piece: np.ndarray) -> np.ndarray:

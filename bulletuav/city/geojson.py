@@ -13,11 +13,11 @@ from bulletuav.city.cityjson import read_buildings
 from bulletuav.city.import_report import Notebook
 from bulletuav.city.model import City
 from bulletuav.city.overpass import Feature, read_elements
-from bulletuav.city.polygons import SLIVER, area_of, convex_pieces, extruded, import_shapely
 from bulletuav.city.reference_systems import convert_to_degrees, read_code
 from bulletuav.city.tags import HeightReader
 from bulletuav.earth.geodesy import degree_lengths
 from bulletuav.errors import require_file, shown
+from bulletuav.geometry.polygons import SLIVER, area_of, convex_pieces, extruded, import_shapely
 from bulletuav.parsing import read_json
 
 MIN_AREA = 1e-18

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bulletuav.city.building_tags import MAX_NAME, read_tags
-from bulletuav.city.polygons import import_shapely
+from bulletuav.geometry.polygons import import_shapely
 from bulletuav.errors import numbers_of, shown
 
 INNER = "inner"

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from bulletuav.city.polygons import import_shapely
+from bulletuav.geometry.polygons import import_shapely
 from bulletuav.errors import missing_extra, shown
 
 DEGREES = {4326, 4979, 4258, 4937, 4269}

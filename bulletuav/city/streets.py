@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bulletuav.city.graphs import connect_components
+from bulletuav.geometry.graphs import connect_components
 
 
 @dataclass(frozen=True, eq=False)

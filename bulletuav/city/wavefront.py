@@ -6,12 +6,12 @@ from pathlib import Path
 import numpy as np
 
 from bulletuav.city.assembly import REMEDY, assemble, check_flags
-from bulletuav.city.decomposer import Decomposer
 from bulletuav.city.decomposition import split_mesh
 from bulletuav.city.import_report import Notebook
-from bulletuav.city.mesh import make_mesh
 from bulletuav.city.model import City
 from bulletuav.errors import find_choice, finite, read_file, require_file, shown
+from bulletuav.geometry.decomposer import Decomposer
+from bulletuav.geometry.mesh import make_mesh
 
 MAX_SCALE = 1e9
 MAX_COORDINATE = 1e12

@@ -1,16 +1,19 @@
 """Convex pieces of the bodies that users add: from a URDF, a mesh, corners or an obstacle."""
 
+import xml.etree.ElementTree as ElementTree
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from bulletuav.errors import as_sequence, finite, require_file, shown
-from bulletuav.geometry.mesh_file import read_obj
+from bulletuav.geometry.mesh_file import read_obj_faces
+from bulletuav.geometry.mesh_split import split_body
 from bulletuav.geometry.obstacle import MAX_SIZE, Obstacle, hull_from_points
 from bulletuav.geometry.rotation import normalise_quaternion, to_world
 from bulletuav.geometry.scenery import BodyPiece
 from bulletuav.geometry.shapes import HULL, Shape
+from bulletuav.vehicle.links import place_links
 from bulletuav.vehicle.urdf import UrdfFile
 
 BodySource = str | Path | Obstacle | np.ndarray | Sequence[Sequence[float]]
@@ -42,10 +45,7 @@ def pieces_of(source: BodySource) -> list[BodyPiece]:
     elif not isinstance(source, str | Path):
         pieces = [_centred(hull_from_points("corners of a body", source))]
     elif str(source).lower().endswith(".obj"):
-        hulls = [
-            hull_from_points(f"{source}: object {k}", one) for k, one in enumerate(read_obj(source))
-        ]
-        pieces = [_centred(hull) for hull in hulls]
+        pieces = [_centred(hull) for hull in _hulls_of_mesh(Path(source))]
     elif str(source).lower().endswith(".urdf"):
         pieces = _of_urdf(require_file("body", source, REMEDY))
     else:
@@ -55,18 +55,49 @@ def pieces_of(source: BodySource) -> list[BodyPiece]:
     return pieces
 
 
+def _hulls_of_mesh(path: Path, scale: Sequence[float] = (1.0, 1.0, 1.0)) -> list[Shape]:
+    """Read the convex pieces of all objects of an OBJ file.
+
+    Args:
+        path: The file.
+        scale: Factors of x, y and z.
+    """
+    points, objects = read_obj_faces(path)
+    hulls = []
+    for k, faces in enumerate(objects):
+        where = f"{path}: object {k}"
+        pieces = split_body(points * scale, faces, where)
+        hulls += [hull_from_points(where, piece) for piece in pieces]
+    return hulls
+
+
 def _of_urdf(path: Path) -> list[BodyPiece]:
-    """Read all collision shapes of a URDF with one link."""
+    """Read all collision shapes of a URDF, whose links are joined by fixed joints.
+
+    Meshes are split into convex pieces; with `concave="no"` their convex hull is one.
+    """
     urdf = UrdfFile(path.resolve(), widest=MAX_SIZE)
-    urdf.require_one_link()
-    elements = urdf.root.findall("link/collision")
-    if not elements:
-        raise urdf.make_error("collision", "missing", "a body needs one shape or more")
     pieces = []
-    for element in elements:
-        place, turn = urdf.origin(element)
-        pieces.append(_centred(urdf.shape(element), place, turn))
+    for link in place_links(urdf):
+        for element in link.element.findall("collision"):
+            place, turn = link.pose(urdf, element)
+            mesh = element.find("geometry/mesh")
+            shapes = [urdf.shape(element)] if mesh is None or _is_hull(urdf, element) else []
+            if not shapes:
+                assert mesh is not None
+                shapes = _hulls_of_mesh(*urdf.mesh_file(mesh))
+            pieces += [_centred(shape, place, turn) for shape in shapes]
+    if not pieces:
+        raise urdf.make_error("collision", "missing", "a body needs one shape or more")
     return pieces
+
+
+def _is_hull(urdf: UrdfFile, collision: ElementTree.Element) -> bool:
+    """Return True if a `<collision>` asks for the convex hull of its mesh."""
+    text = collision.get("concave", "yes")
+    if text not in ("yes", "no"):
+        raise urdf.make_error("collision concave", text, "yes or no is needed")
+    return text == "no"
 
 
 def _centred(

@@ -1,4 +1,4 @@
-"""Reader of Wavefront OBJ files: the vertices of each object."""
+"""Reader of Wavefront OBJ files: the vertices and faces of each object."""
 
 import re
 from pathlib import Path
@@ -28,6 +28,24 @@ def read_obj(path: str | Path) -> list[np.ndarray]:
         ValueError: If a line cannot be parsed, or there is no face.
         FileNotFoundError: If the file does not exist.
     """
+    points, objects = read_obj_faces(path)
+    return [points[sorted(set().union(*faces))] for faces in objects]
+
+
+def read_obj_faces(path: str | Path) -> tuple[np.ndarray, list[list[list[int]]]]:
+    """Read the vertices of a Wavefront OBJ file, and the faces of each object.
+
+    Args:
+        path: Path of the file.
+
+    Returns:
+        Vertices (V, 3) of the file, in its units; and for each object that has faces, the indices
+        of the vertices of each face.
+
+    Raises:
+        ValueError: If a line cannot be parsed, or there is no face.
+        FileNotFoundError: If the file does not exist.
+    """
     # Files may come from untrusted sources, so their size is limited
     path = require_file("mesh", path, "pass the path of a Wavefront OBJ file")
     # Split lines and words exactly as Bullet does, so that both read the same vertices
@@ -35,25 +53,25 @@ def read_obj(path: str | Path) -> list[np.ndarray]:
     if len(lines) > MAX_LINES:
         raise ValueError(f"{path}: {len(lines)} lines, at most {MAX_LINES} are read: simplify it")
     corners: list[tuple[float, ...]] = []
-    objects: list[set[int]] = [set()]
+    objects: list[list[list[int]]] = [[]]
     for number, line in enumerate(lines, start=1):
         # Empty lines, comments and unknown keywords are ignored
         word, *values = WORD.findall(line.rstrip("\r")) or [""]
         try:
             if word == "o":
-                objects.append(set())
+                objects.append([])
             elif word == "v":
                 corners.append(_parse_vertex(values))
             elif word == "f":
-                objects[-1].update(_parse_index(value, len(corners)) for value in values)
+                face = [_parse_index(value, len(corners)) for value in values]
+                if face:
+                    objects[-1].append(face)
         except ValueError:
             raise ValueError(f"{path}: line {number} is {shown(line)}: it cannot be read") from None
-    # Objects without faces have no vertices
-    points = np.array(corners).reshape(-1, 3)
-    found = [points[sorted(one)] for one in objects if one]
+    found = [faces for faces in objects if faces]
     if not found:
         raise ValueError(f"{path}: faces are needed (lines `f 1 2 3` after the corners `v x y z`)")
-    return found
+    return np.array(corners).reshape(-1, 3), found
 
 
 def _parse_vertex(values: list[str]) -> tuple[float, ...]:

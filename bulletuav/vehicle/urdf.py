@@ -1,4 +1,4 @@
-"""Reader of one-link URDF files: bounded numbers, inertia and collision shape.
+"""Reader of URDF files: bounded numbers, inertia and collision shapes.
 
 Every error message names the file, the tag and the value.
 """
@@ -47,12 +47,13 @@ class UrdfFile:
         widest: Maximum length of a shape, m.
     """
 
-    def __init__(self, path: Path, widest: float = MAX_LENGTH) -> None:
+    def __init__(self, path: Path, widest: float = MAX_LENGTH, needs_meshes: bool = True) -> None:
         """Parse the file.
 
         Args:
             path: Path of the file.
             widest: Maximum length of a shape, m.
+            needs_meshes: Whether all meshes are checked, as the engine reads them.
 
         Raises:
             ValueError: If the file is no XML, or names a mesh that cannot be read.
@@ -60,9 +61,10 @@ class UrdfFile:
         self.path = path
         self.widest = widest
         self.root = read_xml(path)
-        self._require_meshes()
+        if needs_meshes:
+            self.require_meshes()
 
-    def _require_meshes(self) -> None:
+    def require_meshes(self) -> None:
         """Check all meshes and textures that the file names.
 
         Bullet reads them in C++ without checks, from the folder of the file, a folder above it or
@@ -124,7 +126,10 @@ class UrdfFile:
         """
         found = (self.root if parent is None else parent).find(tag)
         if found is None:
-            reason = "every airframe needs it; assets/urdf/cf2x.urdf shows the form"
+            reason = (
+                "every airframe needs it; assets/urdf/cf2x.urdf shows the form, and `bulletuav "
+                "convert` writes it from URDFs of other simulators"
+            )
             raise self.make_error(tag, "missing", reason)
         return found
 
@@ -198,7 +203,10 @@ class UrdfFile:
         """
         links = self.root.findall("link")
         if len(links) != 1 or self.root.find("joint") is not None:
-            reason = "exactly one link and no joint (propellers are visuals)"
+            reason = (
+                "exactly one link and no joint (propellers are visuals); `bulletuav convert FILE "
+                "--out NAME.urdf` merges the links of drones of other simulators"
+            )
             raise self.make_error("link", f"{len(links)} links", reason)
 
     def collision_shape(self) -> Shape:
@@ -279,13 +287,7 @@ class UrdfFile:
     def _read_hull(self, mesh: ElementTree.Element) -> Shape:
         """Read the convex hull of a mesh, an OBJ file next to the URDF."""
         name = mesh.get("filename", "")
-        path = self.path.parent / name
-        if not name.lower().endswith(".obj") or not path.is_file():
-            reason = "the name of a Wavefront OBJ file (.obj) next to the URDF is needed"
-            raise self.make_error("mesh filename", name or "missing", reason)
-        scale = self._read_vector(mesh, "scale", "1 1 1")
-        if min(scale) <= 0:
-            raise self.make_error("mesh scale", mesh.get("scale"), "it must be above 0")
+        path, scale = self.mesh_file(mesh)
         try:
             hull = hull_from_points(str(path), np.concatenate(read_obj(path)) * scale)
         except ValueError as error:
@@ -295,6 +297,22 @@ class UrdfFile:
             reason = f"its extents must be from {MIN_SHAPE_SIDE:g} to {self.widest:g} m"
             raise self.make_error("mesh filename", name, reason)
         return hull
+
+    def mesh_file(self, mesh: ElementTree.Element) -> tuple[Path, tuple[float, float, float]]:
+        """Read the path of an OBJ file next to the URDF, and the factors of its x, y and z.
+
+        Raises:
+            ValueError: If there is no such file, or a factor is not above 0.
+        """
+        name = mesh.get("filename", "")
+        path = self.path.parent / name
+        if not name.lower().endswith(".obj") or not path.is_file():
+            reason = "the name of a Wavefront OBJ file (.obj) next to the URDF is needed"
+            raise self.make_error("mesh filename", name or "missing", reason)
+        scale = self._read_vector(mesh, "scale", "1 1 1")
+        if min(scale) <= 0:
+            raise self.make_error("mesh scale", mesh.get("scale"), "it must be above 0")
+        return path, scale
 
     def _read_box(self, shape: ElementTree.Element) -> Shape:
         """Read a box from its three edge lengths."""

@@ -37,3 +37,21 @@ def written(*objects):
         lines += ["f " + " ".join(str(first + k) for k in face) for face in faces]
         first += len(points)
     return "\n".join(lines) + "\n"
+
+
+OPEN_BOX = """v 0 1e-300 0
+v 10 0 0
+v 10 10 0
+v 0 10 0
+v 0 0 8
+v 10 0 -1
+v 10 10 8
+v 0 10 8
+f 1 2 3 4
+f 5 6 7 8
+f 1 2 6 5
+f 2 3 7 6
+f 3 4 8 7
+f 4 1 5 8
+"""
+"""A box whose lower corner goes through its floor: CoACD 1.0.14 dies with SIGSEGV"""

@@ -7,13 +7,13 @@ import sys
 
 import numpy as np
 import pytest
-from city.meshes import ELL, podium, prism, written
+from city.meshes import ELL, OPEN_BOX, podium, prism, written
 from scipy.spatial import ConvexHull
 
-from bulletuav.city import decomposer
 from bulletuav.city.import_report import MendedWarning
 from bulletuav.city.imports import from_obj
-from bulletuav.city.mesh import components, find_crossing, make_mesh, outside, outward, volume
+from bulletuav.geometry import decomposer
+from bulletuav.geometry.mesh import components, find_crossing, make_mesh, outside, outward, volume
 
 SQUARE = [(50, 50), (60, 50), (60, 60), (50, 60)]
 CUBE = make_mesh(*prism([(0, 0), (10, 0), (10, 10), (0, 10)], 10))
@@ -209,23 +209,6 @@ def test_splitting_without_the_extra(obj, monkeypatch):
     assert volumes(from_obj(obj(written(("shop", *prism(SQUARE, 5)))), side=200.0)) == [500]
 
 
-OPEN_BOX = """v 0 1e-300 0
-v 10 0 0
-v 10 10 0
-v 0 10 0
-v 0 0 8
-v 10 0 -1
-v 10 10 8
-v 0 10 8
-f 1 2 3 4
-f 5 6 7 8
-f 1 2 6 5
-f 2 3 7 6
-f 3 4 8 7
-f 4 1 5 8
-"""
-
-
 def test_a_mesh_that_crashes_the_native_code_is_one_error_with_its_name(obj):
     """Its lower corner goes through the floor: CoACD 1.0.14 dies with SIGSEGV."""
     path = obj(f"o moved\n{OPEN_BOX}")
@@ -302,7 +285,7 @@ def test_objects_share_one_process_and_it_ends_with_them(monkeypatch):
 def test_the_process_limits_its_memory():
     """To half of the machine's memory; the limit is that of the process alone."""
     code = (
-        "import resource; from bulletuav.city import coacd_child as child;"
+        "import resource; from bulletuav.geometry import coacd_child as child;"
         "child.limit_memory(3 * 2**30); print(resource.getrlimit(resource.RLIMIT_AS)[0])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
@@ -312,7 +295,7 @@ def test_the_process_limits_its_memory():
 def test_the_process_ends_with_a_parent_that_is_killed():
     """CoACD may never return, and then nothing else would end it."""
     child = (
-        "import time; from bulletuav.city import coacd_child as child;"
+        "import time; from bulletuav.geometry import coacd_child as child;"
         "child.end_with_parent(0.01); print('ready', flush=True); time.sleep(600)"
     )
     # The child has the standard error of both, which ends with the last of them

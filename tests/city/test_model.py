@@ -6,9 +6,9 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from bulletuav.city.generator import generate
-from bulletuav.city.graphs import connect_components
 from bulletuav.city.model import City
 from bulletuav.city.streets import Streets, free_streets
+from bulletuav.geometry.graphs import connect_components
 from bulletuav.geometry.solids import Solids
 
 NO_STREETS = Streets(np.zeros((0, 2)), np.zeros((0, 2), dtype=int))

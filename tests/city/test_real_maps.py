@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 
 from bulletuav.city.import_report import KINDS, MendedWarning
 from bulletuav.city.imports import from_geojson
-from bulletuav.city.polygons import area_of, convex_pieces, extruded, turns_left
 from bulletuav.city.tags import read_length
 from bulletuav.engine.engine import Engine
+from bulletuav.geometry.polygons import area_of, convex_pieces, extruded, turns_left
 from bulletuav.vehicle.airframes import load_airframe
 
 LOT = [[0, 0], [20, 0], [20, 10], [0, 10], [0, 0]]

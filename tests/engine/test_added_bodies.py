@@ -1,9 +1,11 @@
 """Bodies that users add: sources, poses, rays, contacts, pictures and the table of what stands."""
 
+import sys
 import warnings
 
 import numpy as np
 import pytest
+from city.meshes import OPEN_BOX
 from scipy.spatial.transform import Rotation
 
 import bulletuav
@@ -31,7 +33,8 @@ GATE = """<robot name="gate"><link name="gate">
   <collision><origin xyz="9 0 1" rpy="0 0 1.5707963267948966"/>
     <geometry><mesh filename="ridge.obj"/></geometry></collision>
 </link></robot>"""
-RIDGE = "v 0 -1 -1\nv 0 1 -1\nv 4 -1 -1\nv 4 1 -1\nv 0 0 1\nv 4 0 1\nf 1 2 3\nf 4 5 6\n"
+RIDGE = "v 0 -1 -1\nv 0 1 -1\nv 4 -1 -1\nv 4 1 -1\nv 0 0 1\nv 4 0 1\n"
+RIDGE += "f 1 2 4 3\nf 1 5 2\nf 3 4 6\nf 1 3 6 5\nf 2 5 6 4\n"
 """A roof of 4 m along x, from x = 0 on"""
 
 
@@ -72,7 +75,9 @@ def test_all_sources_make_the_same_cube(make_bench, tmp_path):
     near_lines, far_lines = (
         [f"v {x} {y} {z}" for x, y, z in cube.tolist()] for cube in (CUBE, far)
     )
-    faces = ["f 1 2 3 4", "f 5//1 6/2/3 7 8"], ["f -1 -2 -3 -4", "f -5 -6 -7 -8"]
+    sides = (1, 2, 4, 3), (5, 6, 8, 7), (1, 2, 6, 5), (3, 4, 8, 7), (1, 3, 7, 5), (2, 4, 8, 6)
+    faces = [[f"f {a} {b}//1 {c}/2/3 {d}" for a, b, c, d in sides]]
+    faces += [[f"f {a - 9} {b - 9} {c - 9} {d - 9}" for a, b, c, d in sides]]
     each = ["o near", *near_lines, *faces[0], "o far", *far_lines, *faces[1]]
     (tmp_path / "each.obj").write_text("\n".join(each))
     last = [*near_lines, *far_lines, "o near", *faces[0], "o empty", "o far", *faces[1]]
@@ -228,7 +233,7 @@ def test_files_that_cannot_be(make_bench, tmp_path):
         engine.add_body(tmp_path / "gone.urdf", (0, 0, 0))
     for text, said in (
         ('<link name="a"/>', "<collision> is missing: a body needs one shape or more"),
-        ('<link name="a"/><link name="b"/>', "exactly one link"),
+        ('<link name="a"/><link name="b"/>', "exactly one link without a parent"),
         (
             '<link name="a"><collision><origin xyz="0 0 x"/><geometry><sphere radius="1"/>'
             "</geometry></collision></link>",
@@ -239,7 +244,9 @@ def test_files_that_cannot_be(make_bench, tmp_path):
         with pytest.raises(ValueError, match=said):
             engine.add_body(tmp_path / "own.urdf", (0, 0, 0))
     objects = [
-        f"o {k}\nv 0 0 {k}\nv 1 0 {k}\nv 0 1 {k}\nv 0 0 {k + 1}\nf -1 -2 -3 -4" for k in range(1025)
+        f"o {k}\nv 0 0 {k}\nv 1 0 {k}\nv 0 1 {k}\nv 0 0 {k + 1}\n"
+        "f -1 -2 -3\nf -1 -2 -4\nf -1 -3 -4\nf -2 -3 -4"
+        for k in range(1025)
     ]
     (tmp_path / "many.obj").write_text("\n".join(objects))
     with pytest.raises(ValueError, match="1025 pieces: at most 1024"):
@@ -265,3 +272,110 @@ def test_bodies_that_are_made_at_the_first_picture_look_like_those_made_before()
     assert (pictures[0].labels == OBSTACLE).sum() > 100
     for one, other in zip(*pictures, strict=True):
         np.testing.assert_array_equal(one, other)
+
+
+def ring(radius=1.0, thick=0.15, sides=16, round_sides=8):
+    """Corners and faces of a torus about the x axis, m."""
+    around, across = (2 * np.pi * np.arange(n) / n for n in (sides, round_sides))
+    a, b = np.meshgrid(around, across, indexing="ij")
+    far = radius + thick * np.cos(b)
+    points = np.stack([thick * np.sin(b), far * np.cos(a), far * np.sin(a)], -1).reshape(-1, 3)
+    faces = [
+        (i * n + j, k * n + j, k * n + m, i * n + m)
+        for n in [round_sides]
+        for i, k in zip(range(sides), np.roll(range(sides), -1), strict=True)
+        for j, m in zip(range(n), np.roll(range(n), -1), strict=True)
+    ]
+    return points, faces
+
+
+def format_obj(points, faces):
+    lines = [f"v {x!r} {y!r} {z!r}" for x, y, z in np.asarray(points, float).tolist()]
+    return "\n".join([*lines, *("f " + " ".join(str(k + 1) for k in face) for face in faces), ""])
+
+
+@pytest.mark.parametrize("kind", ["obj", "urdf"])
+def test_a_ring_has_a_hole(make_bench, tmp_path, kind):
+    """Rays pass its hole and hit its rim; a drone flies through, and touches the rim."""
+    (tmp_path / "ring.obj").write_text(format_obj(*ring()))
+    mesh = '<geometry><mesh filename="ring.obj" scale="2 2 2"/></geometry>'
+    (tmp_path / "ring.urdf").write_text(
+        f'<robot name="r"><link name="l"><collision concave="yes">{mesh}</collision></link></robot>'
+    )
+    size = 2.0 if kind == "urdf" else 1.0
+    one = make_bench("bullet")
+    middle = np.array((0.0, 0.0, 10.0))
+    other = one.engine.add_body(tmp_path / f"ring.{kind}", middle)
+    assert one.engine.scenery.place.shape[1] > 5
+    turn = np.radians(np.arange(0, 360, 15))
+    around = size * np.stack([np.zeros(24), np.cos(turn), np.sin(turn)], axis=1)
+    for radius, is_hit in ((0.0, False), (0.7, False), (0.95, True), (1.3, False)):
+        start = middle + radius * around - (2, 0, 0)
+        assert ((cast(one.engine, start, start + (4, 0, 0)) < 1) == is_hit).all()
+    # At the middle of the rim the torus begins 0.15 m before it, within CoACD's tolerance
+    start = middle + (0.0, size * np.cos(np.pi / 16), size * np.sin(np.pi / 16)) - (2, 0, 0)
+    share = cast(one.engine, start, start + (4, 0, 0))
+    assert 4 * share[0] == pytest.approx(2 - 0.15 * size, abs=0.03 * size)
+    if kind == "urdf":
+        contacts = []
+        for y in (0.0, 2.0):
+            one.swarm.position[:] = middle + (-1, y, 0)
+            one.swarm.velocity[:] = (5, 0, 0)
+            one.swarm.quaternion[:] = (0, 0, 0, 1)
+            one.place()
+            contacts.append(set())
+            for _ in range(5):
+                contacts[-1] |= set(one.fly(SetpointLevel.ROTOR, np.zeros(4)).other.tolist())
+        assert contacts[0] == set()
+        assert contacts[1] == {other}
+
+
+def test_a_cup_of_several_links(make_bench, tmp_path):
+    """Floor and four walls: links at fixed joints, one of them turned by a quarter."""
+    text = '<robot name="cup"><link name="floor"><collision><geometry><box size="2 2 0.1"/>'
+    text += "</geometry></collision></link>"
+    for k, (x, y, yaw) in enumerate(((1, 0, 0), (-1, 0, 0), (0, 1, 1), (0, -1, 1))):
+        text += f'<link name="w{k}"><collision><origin xyz="0 0 0.5"/><geometry>'
+        text += '<box size="0.1 2 1"/></geometry></collision></link>'
+        text += f'<joint name="j{k}" type="fixed"><parent link="floor"/><child link="w{k}"/>'
+        text += f'<origin xyz="{x} {y} 0" rpy="0 0 {yaw * np.pi / 2}"/></joint>'
+    (tmp_path / "cup.urdf").write_text(text + "</robot>")
+    engine = make_bench("point_mass").engine
+    engine.add_body(tmp_path / "cup.urdf", (0, 0, 10))
+    starts = [(0, 0, 15), (-5, 0, 10.5), (0, -5, 10.5), (0.5, 0.5, 15), (-5, 0, 11.5)]
+    ends = [(0, 0, 5), (5, 0, 10.5), (0, 5, 10.5), (0.5, 0.5, 5), (5, 0, 11.5)]
+    share = cast(engine, starts, ends)
+    np.testing.assert_allclose(share, (0.495, 0.395, 0.395, 0.495, 1), atol=1e-12)
+    (tmp_path / "cup.urdf").write_text((text + "</robot>").replace("fixed", "revolute", 1))
+    with pytest.raises(ValueError, match="j0, type revolute: only joints of type fixed"):
+        engine.add_body(tmp_path / "cup.urdf", (0, 0, 10))
+
+
+def test_meshes_that_have_no_inside(make_bench, tmp_path, monkeypatch):
+    engine = make_bench("point_mass").engine
+    path = tmp_path / "own.obj"
+
+    def add(points, faces):
+        path.write_text(format_obj(points, faces))
+        engine.add_body(path, (0, 0, 10))
+
+    points, faces = ring()
+    with pytest.raises(ValueError, match="own.obj: object 0 is neither convex nor closed"):
+        add(points, faces[1:])
+    sides = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    inner = [[k + 8 for k in side[::-1]] for side in sides]
+    with pytest.raises(ValueError, match="has a cavity"):
+        add(np.concatenate([CUBE, 0.8 * CUBE]), [*sides, *inner])
+    with pytest.warns(UserWarning, match="cover 83.3 % of its convex hull.*close the mesh"):
+        add(CUBE, sides[:5])
+    monkeypatch.setitem(sys.modules, "coacd", None)
+    with pytest.raises(ImportError, match=r"not convex needs the extra .*\[city\]'"):
+        add(1.01 * points, faces)
+    add(CUBE, sides)
+
+
+def test_a_mesh_that_crashes_the_native_code_is_one_error(make_bench, tmp_path):
+    (tmp_path / "open_box.obj").write_text(OPEN_BOX)
+    engine = make_bench("point_mass").engine
+    with pytest.raises(ValueError, match=r"open_box.obj: object 0: CoACD.*intersect.*repair"):
+        engine.add_body(tmp_path / "open_box.obj", (0, 0, 10))

@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bulletuav.city.graphs import connect_components
-from bulletuav.city.polygons import (
+from bulletuav.geometry.graphs import connect_components
+from bulletuav.geometry.polygons import (
     SLIVER,
     area_of,
     convex_pieces,

@@ -13,8 +13,8 @@ from typing import IO, Self
 
 import numpy as np
 
-from bulletuav.city.mesh import Mesh, find_crossing
 from bulletuav.errors import GIB, missing_extra, total_memory
+from bulletuav.geometry.mesh import Mesh, find_crossing
 
 CHILD = Path(__file__).with_name("coacd_child.py")
 """Program of the subprocess"""
