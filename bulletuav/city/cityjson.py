@@ -13,10 +13,10 @@ import numpy as np
 from bulletuav.city.assembly import MIN_HEIGHT
 from bulletuav.city.building_tags import MAX_NAME
 from bulletuav.city.import_report import Notebook
-from bulletuav.geometry.polygons import SLIVER, area_of, convex_pieces, extruded, import_shapely
 from bulletuav.city.reference_systems import DEGREES, find_code
 from bulletuav.city.tags import HeightReader
 from bulletuav.errors import numbers_of, shown
+from bulletuav.geometry.polygons import SLIVER, area_of, convex_pieces, extruded, import_shapely
 
 BUILDINGS = ("Building", "BuildingPart")
 SURFACES = ("MultiSurface", "CompositeSurface", "Solid", "MultiSolid", "CompositeSolid")

@@ -11,8 +11,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bulletuav.city.building_tags import MAX_NAME, read_tags
-from bulletuav.geometry.polygons import import_shapely
 from bulletuav.errors import numbers_of, shown
+from bulletuav.geometry.polygons import import_shapely
 
 INNER = "inner"
 OUTPUT = "query the data with `out geom;`"

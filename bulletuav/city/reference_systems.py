@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from bulletuav.geometry.polygons import import_shapely
 from bulletuav.errors import missing_extra, shown
+from bulletuav.geometry.polygons import import_shapely
 
 DEGREES = {4326, 4979, 4258, 4937, 4269}
 """EPSG codes of longitudes and latitudes that agree with WGS-84 to 2 m"""

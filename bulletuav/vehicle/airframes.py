@@ -148,9 +148,11 @@ def _read_shipped(path: Path) -> Airframe:
 
 def _read_airframe(path: Path) -> Airframe:
     """Read an airframe from a URDF file."""
-    urdf = UrdfFile(path)
+    # Files of other simulators are recognised before their meshes are, of formats not read here
+    urdf = UrdfFile(path, needs_meshes=False)
     urdf.require_one_link()
     _require_known_tags(urdf)
+    urdf.require_meshes()
     shape = urdf.collision_shape()
     for element in (urdf.root, urdf.element("link")):
         if not element.get("name"):

@@ -25,6 +25,7 @@ POINTS = ["--dynamics", "point_mass", "--horizon", "2"]
 RUNS = {
     "benchmark": [["benchmark", "--drones", "1", "3", "--seconds", "0.001"]],
     "city": [["city", "--side", "200"]],
+    "convert": [["convert", "--example", "a.urdf"], ["convert", "a.urdf", "--out", "b.urdf"]],
     "doctor": [["doctor"]],
     "evaluate": [["evaluate", "hover", *POINTS, "--episodes", "1"]],
     "fly": [["fly", "crossing", *POINTS, "--animation", "none"]],

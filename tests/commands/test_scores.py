@@ -24,6 +24,7 @@ WITHOUT_SCORES = {
     "merge": "prints paths; its files are those of evaluate and compare",
     "replay": "draws a flight",
     "export": "converts a flight",
+    "convert": "converts a drone's file",
     "identify": "fits constants to logs",
     "serve": "serves other programs",
     "benchmark": "measures speed",
