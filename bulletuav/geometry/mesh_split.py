@@ -1,7 +1,6 @@
 """Convex pieces of meshes, which contacts and rays need."""
 
 import functools
-import warnings
 from collections.abc import Sequence
 
 import numpy as np
@@ -71,10 +70,7 @@ def split_body(
 
     Raises:
         ImportError: If the extra `city` is required, and not installed.
-        ValueError: If the object is neither convex nor closed, has a cavity, or cannot be split.
-
-    Warns:
-        UserWarning: If a convex object has openings, which its hull closes.
+        ValueError: If the object is not closed, has a cavity, or cannot be split.
     """
     used = np.unique(np.concatenate([np.asarray(face) for face in faces]))
     if np.abs(points[used]).max() > MAX_SIZE:
@@ -82,10 +78,10 @@ def split_body(
     covered = _covered_share(points, faces, used)
     if covered > 0:
         if covered < 1 - FILLED:
-            warnings.warn(
-                f"{where}: its faces cover {100 * covered:.3g} % of its convex hull, which is used "
-                f"without the openings: close the mesh to keep them",
-                stacklevel=2,
+            raise ValueError(
+                f"{where}: its faces cover {100 * covered:.3g} % of its convex hull, so that it "
+                f"has openings, and its walls no thickness: close the mesh, or pass its corners "
+                f"(V, 3) for the convex hull"
             )
         return [points[used]]
     mesh = make_mesh(points, [face for face in faces if len(face) > 2])

@@ -113,6 +113,7 @@ def convert_urdf(source: str | Path, out: str | Path) -> Conversion:
     lines = [f"Converted by bulletuav from {path.name}.", *map(_format_entry, entries)]
     # XML forbids two hyphens in a comment
     comment = "\n     ".join(lines).replace("--", "- -")
+    out.parent.mkdir(parents=True, exist_ok=True)
     replace_file(out, f'<?xml version="1.0"?>\n<!-- {comment} -->\n{text}')
     return Conversion(load_airframe(out), entries)
 
@@ -139,6 +140,8 @@ def _convert(urdf: UrdfFile) -> tuple[str, list[Entry]]:
     body = join_links(urdf, links)
     named = [link for link in links if ROTOR_NAME.search(link.name.rpartition("/")[2])]
     motors = read_constants(urdf, body.mass, max(len(named), MIN_ROTORS)).motors
+    # Rotors of RotorS that turn slower have as much more inertia
+    body = join_links(urdf, links, {motor.link: motor.slowdown for motor in motors})
     rotor_links = _pick_rotor_links(urdf, links, [m.link for m in motors], named)
     count = len(rotor_links) or MIN_ROTORS
     constants = read_constants(urdf, body.mass, count)
@@ -338,8 +341,6 @@ def _add_rotor_inertia(urdf: UrdfFile, rotors: list[_Rotor], constants: Constant
                 found.add(round(float(join_links(urdf, [rotor.link]).inertia[2, 2]), 15))
     if len(found) == 1:
         slowdown = constants.motors[0].slowdown if constants.motors else 1.0
-        if slowdown == 0:
-            raise urdf.make_error("rotorVelocitySlowdownSim", 0, "it must be above 0")
         origin = f"izz of a rotor's link / {slowdown:g} (slowdown: same angular momentum), kg m^2"
         constants.add("derived", "rotor_inertia", "value", found.pop() / slowdown, origin)
     elif found:

@@ -266,6 +266,8 @@ def _read_plugins(urdf: UrdfFile, constants: Constants) -> None:
             values = f"{plugins[0].get(other)} and {texts.get(other)}"
             raise urdf.make_error(other, values, "all motors of an airframe are equal")
         slowdown = _text_number(urdf, texts, "rotorVelocitySlowdownSim", "10")
+        if slowdown <= 0:
+            raise urdf.make_error("rotorVelocitySlowdownSim", slowdown, "it must be above 0")
         number = int(_text_number(urdf, texts, "motorNumber", str(k)))
         if number in numbered:
             raise urdf.make_error("motorNumber", number, "each motor needs a number of its own")

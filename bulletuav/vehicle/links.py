@@ -5,7 +5,8 @@ References:
 """
 
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -137,7 +138,9 @@ def _end(urdf: UrdfFile, joint: ElementTree.Element, tag: str, links: Collection
     return name
 
 
-def join_links(urdf: UrdfFile, links: list[PlacedLink]) -> RigidBody:
+def join_links(
+    urdf: UrdfFile, links: list[PlacedLink], enlarged: Mapping[str, float] = MappingProxyType({})
+) -> RigidBody:
     """Compute the mass properties of links that are joined to one body.
 
     The inertia of each link is rotated, R I R^T, and moved, m (|d|^2 E - d d^T).
@@ -145,6 +148,7 @@ def join_links(urdf: UrdfFile, links: list[PlacedLink]) -> RigidBody:
     Args:
         urdf: The file.
         links: Result of `place_links`.
+        enlarged: Factor by which the file enlarges the own inertia of a link, by its name.
 
     Returns:
         The body.
@@ -161,7 +165,8 @@ def join_links(urdf: UrdfFile, links: list[PlacedLink]) -> RigidBody:
         place, turn = link.pose(urdf, inertial)
         rotation = np.array(axes(turn)).T
         places.append(place)
-        tensors.append(rotation @ _tensor(urdf, urdf.element("inertia", inertial)) @ rotation.T)
+        tensor = _tensor(urdf, urdf.element("inertia", inertial)) / enlarged.get(link.name, 1.0)
+        tensors.append(rotation @ tensor @ rotation.T)
     total = float(sum(masses))
     if total <= 0:
         raise urdf.make_error("mass value", total, "the sum over all links must be above 0")

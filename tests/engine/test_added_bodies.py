@@ -366,7 +366,7 @@ def test_meshes_that_have_no_inside(make_bench, tmp_path, monkeypatch):
     inner = [[k + 8 for k in side[::-1]] for side in sides]
     with pytest.raises(ValueError, match="has a cavity"):
         add(np.concatenate([CUBE, 0.8 * CUBE]), [*sides, *inner])
-    with pytest.warns(UserWarning, match="cover 83.3 % of its convex hull.*close the mesh"):
+    with pytest.raises(ValueError, match="cover 83.3 % of its convex hull.*close the mesh"):
         add(CUBE, sides[:5])
     monkeypatch.setitem(sys.modules, "coacd", None)
     with pytest.raises(ImportError, match=r"not convex needs the extra .*\[city\]'"):

@@ -113,7 +113,7 @@ def convert(tmp_path):
         (tmp_path / "own.urdf").write_text(text)
         if yaml is not None:
             (tmp_path / "own.yaml").write_text(yaml)
-        airframe, entries = convert_urdf(tmp_path / "own.urdf", tmp_path / "made.urdf")
+        airframe, entries = convert_urdf(tmp_path / "own.urdf", tmp_path / "new" / "made.urdf")
         return airframe, {(entry.kind, entry.what): entry.value for entry in entries}
 
     return run
@@ -208,10 +208,10 @@ def test_a_hummingbird_of_rotors(convert):
     # By hand: the rotors' 0.036 kg at 0.01 m lift the centre of mass by 0.00036 / 0.716
     lift = 0.000502793
     assert airframe.drag_height == pytest.approx(0.01 - lift, rel=1e-5)
-    # xx: body 0.007 + 0.68 lift^2, rotors 4 * 1.755e-6 + 0.036 * 0.0094972^2 + 0.018 * 0.17^2
-    assert airframe.inertia[0] == pytest.approx(0.00753064, rel=1e-5)
-    # zz: 0.012 + 4 * 7.66875e-5 + 0.036 * 0.17^2
-    assert airframe.inertia[2] == pytest.approx(0.01334715, rel=1e-6)
+    # xx: body 0.007 + 0.68 lift^2, rotors 4 * 1.755e-6 / 10 + 0.036 * 0.0094972^2 + 0.018 * 0.17^2
+    assert airframe.inertia[0] == pytest.approx(0.00753064 - 0.9 * 4 * 1.755e-6, rel=1e-5)
+    # zz: 0.012 + 4 * 7.66875e-5 / 10 + 0.036 * 0.17^2
+    assert airframe.inertia[2] == pytest.approx(0.012 + 4 * (0.009 * 0.17**2 + 7.66875e-6))
     assert airframe.rotor_inertia == pytest.approx(7.66875e-6)
     assert [turn for *_, turn in airframe.rotors] == [1, -1, 1, -1]
     assert report["taken", "rotor spin"] == "cw ccw cw ccw"
@@ -337,7 +337,7 @@ def test_files_that_cannot_be_converted(text, said, convert, tmp_path):
     with pytest.raises(ValueError, match=said) as error:
         convert(text)
     assert "own.urdf" in str(error.value)
-    assert not (tmp_path / "made.urdf").exists()
+    assert not (tmp_path / "new" / "made.urdf").exists()
 
 
 def test_parameters_of_pyflyt_that_cannot_be(convert):
