@@ -55,7 +55,7 @@ class AirspaceWorld(Parts):
         wanted = frozenset(name for one in sensors.values() for name in one.gives)
         super().__init__(options, obstacles, layouts, sensors, sensor_setup(options, 1, wanted))
         consumes = self.dynamics.consumes
-        options.check_setpoint_levels(consumes, consumes)
+        options.check_setpoint_levels({consumes.name: consumes}, consumes)
         # Setpoints have a yaw, or a number for each rotor
         rotors, drones = self.hover_speed.shape[1], options.num_drones
         sizes = Sizes(1, drones, S=max(YAW + 1, rotors), K=len(obstacles), R=rotors)

@@ -2,11 +2,12 @@
 
 import dataclasses
 import math
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from bulletuav.control.actions import Action, ActionContext, make_action
+from bulletuav.control.actions import Action, ActionContext, make_actions
 from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.dynamics import find_dynamics
 from bulletuav.envs.bodies import count_bodies
@@ -15,6 +16,7 @@ from bulletuav.envs.options import EnvOptions, check_names
 from bulletuav.envs.parts import sensor_setup
 from bulletuav.envs.resolve_options import resolve_options
 from bulletuav.envs.state import Sizes, State
+from bulletuav.envs.teams import of_drones
 from bulletuav.errors import (
     as_int,
     as_sequence,
@@ -122,7 +124,7 @@ class EnvSpec:
         # If it is no class attribute, `Worlds` checks it with the instance
         consumes: object = find_dynamics(self.options.dynamics).consumes
         if isinstance(consumes, SetpointLevel):
-            self.options.check_setpoint_levels(self.action.level, consumes)
+            self.options.check_setpoint_levels(self.action.kind_levels, consumes)
 
     def _check_absent(self, kind: type[Task[Any]]) -> None:
         """Raise ValueError for a drawn number of drones in tasks that need all of them."""
@@ -431,12 +433,14 @@ def action_context(options: EnvOptions, task: Task[Any]) -> ActionContext:
 
 def _make_action(options: EnvOptions, task: Task[Any]) -> Action:
     climb = options.max_climb
-    action = make_action(options.action, action_context(options, task))
+    names = _names_of_drones(options, task)
+    action = make_actions(names, action_context(options, task))
     # Other actions command no velocity
-    if climb is not None and action.level != SetpointLevel.VELOCITY:
+    others = [kind.name for kind in action.kinds if kind.level != SetpointLevel.VELOCITY]
+    if climb is not None and others:
         raise ValueError(
             f"max_climb is {climb:g} m/s: it limits actions that command velocities, and "
-            f"{options.action!r} does not; max_climb=None leaves it out"
+            f"{others[0]!r} does not; max_climb=None leaves it out"
         )
     _check_masks(options, action)
     limit = task.speed_limit
@@ -445,12 +449,20 @@ def _make_action(options: EnvOptions, task: Task[Any]) -> Action:
             f"speed_limit of task {task.name!r} is {shown(limit)}: a speed above 0 for each of "
             f"{options.num_drones} drones is needed"
         )
-    if limit is not None and action.level != SetpointLevel.VELOCITY:
+    if limit is not None and others:
         raise ValueError(
-            f"action {options.action!r} does not command velocities, and task {task.name!r} limits "
+            f"action {others[0]!r} does not command velocities, and task {task.name!r} limits "
             f"the commanded speeds: choose action='velocity', or options without limits"
         )
     return action
+
+
+def _names_of_drones(options: EnvOptions, task: Task[Any]) -> Sequence[str]:
+    """Return the name of each drone's action."""
+    action = options.action
+    if isinstance(action, str):
+        return (action,) * options.num_drones
+    return of_drones("action", action, task) if isinstance(action, Mapping) else action
 
 
 def _check_masks(options: EnvOptions, action: Action) -> None:

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from bulletuav.control.actions import ACTIONS
+from bulletuav.control.actions import ACTIONS, ActionNames, action_names
 from bulletuav.control.cascade import CONTROLLERS, PID_LEVELS
 from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.dynamics import DEFAULT_DYNAMICS, find_dynamics
@@ -71,8 +71,9 @@ class EnvOptions:
             episode, as drones are whose episode ended.
         min_drones: Minimum number of drones in a world; set by num_drones=(min, max).
         airframe: Name of an airframe, path of a URDF, or an `Airframe`; or one for each drone.
-        action: Meaning of actions: a name in `bulletuav.control.actions.ACTIONS`. The default is
-            that of the task; if the dynamics does not support it, the action of the highest
+        action: Meaning of actions: a name in `bulletuav.control.actions.ACTIONS`; a list with a
+            name for each drone; or a dict from the names of the task's teams to names. The default
+            is that of the task; if the dynamics does not support it, the action of the highest
             setpoint level that the dynamics supports, such as "velocity" in "point_mass".
         decision_hz: Decisions per second: a whole number that divides physics_hz; or from 0.1 to 1
             (decisions of up to 10 s), if a decision has a whole number of substeps.
@@ -170,7 +171,7 @@ class EnvOptions:
 
     num_drones: int
     airframe: tuple[Airframe, ...]
-    action: str
+    action: ActionNames
     decision_hz: float
     horizon: int
     max_speed: float
@@ -246,7 +247,8 @@ class EnvOptions:
         if self.contacts is None:
             self._keep("contacts", dynamics.contacts[0])
         find_choice("contacts", self.contacts, dict.fromkeys(dynamics.contacts))
-        choices = {"action": tuple(ACTIONS), "controller": tuple(CONTROLLERS)}
+        self._keep("action", _as_action(self.action, self.num_drones))
+        choices = {"controller": tuple(CONTROLLERS)}
         choices |= {"lidar_frame": FRAMES, "energy": ENERGIES, "observation_format": FORMATS}
         choices |= {"camera_format": CAMERA_FORMATS, "camera_depth": DEPTHS}
         choices |= {"rays": tuple(RAY_METHODS), "camera": RENDERERS}
@@ -361,9 +363,10 @@ class EnvOptions:
             if self.max_climb <= 0:
                 raise ValueError(f"max_climb is {self.max_climb:g} m/s: it must be above 0")
         self._check_air()
-        if self.gravity == 0 and self.action not in ROTOR_ACTIONS:
+        balancing = [name for name in action_names(self.action) if name not in ROTOR_ACTIONS]
+        if self.gravity == 0 and balancing:
             raise ValueError(
-                f"action {self.action!r} needs gravity: use 'rotor' or 'rpm', all others balance "
+                f"action {balancing[0]!r} needs gravity: use 'rotor' or 'rpm', all others balance "
                 f"thrust against weight"
             )
         if self.integral and self.controller == "pid":
@@ -437,19 +440,26 @@ class EnvOptions:
         """Name of the dynamics, given by name or class."""
         return self.dynamics if isinstance(self.dynamics, str) else self.dynamics.name
 
-    def check_setpoint_levels(self, action: SetpointLevel, dynamics: SetpointLevel) -> None:
-        """Check that the setpoint level of an action can drive the dynamics.
+    def check_setpoint_levels(
+        self, actions: Mapping[str, SetpointLevel], dynamics: SetpointLevel
+    ) -> None:
+        """Check that the setpoint levels of actions can drive the dynamics.
+
+        Args:
+            actions: Level of each kind of action, by its name.
+            dynamics: Level that drives the dynamics.
 
         Raises:
-            ValueError: If it can neither directly nor through the controller.
+            ValueError: If one can neither directly nor through the controller.
         """
-        if action > dynamics:
-            raise ValueError(
-                f"action {self.action!r} gives {action.name.lower()} setpoints, but dynamics "
-                f"{self.dynamics_name!r} is driven by "
-                f"{dynamics.name.lower()}: use an action of that level or above, or dynamics "
-                f"'rigid_body' or 'bullet'"
-            )
+        for name, level in actions.items():
+            if level > dynamics:
+                raise ValueError(
+                    f"action {name!r} gives {level.name.lower()} setpoints, but dynamics "
+                    f"{self.dynamics_name!r} is driven by "
+                    f"{dynamics.name.lower()}: use an action of that level or above, or dynamics "
+                    f"'rigid_body' or 'bullet'"
+                )
         if self.energy == "actuator" and dynamics < SetpointLevel.ROTOR:
             raise ValueError(
                 f"energy is 'actuator', and dynamics {self.dynamics_name!r} has no rotors: use "
@@ -460,7 +470,8 @@ class EnvOptions:
                 f"controller 'pid' drives motors, and dynamics {self.dynamics_name!r} has none: "
                 f"use controller 'lee'"
             )
-        self.check_controller(action)
+        for level in actions.values():
+            self.check_controller(level)
 
     def check_controller(self, level: SetpointLevel) -> None:
         """Raise ValueError for a setpoint level that the controller does not support."""
@@ -468,6 +479,29 @@ class EnvOptions:
             raise ValueError(
                 f"controller 'pid' supports no {level.name.lower()} setpoints: use controller 'lee'"
             )
+
+
+def _as_action(action: Any, num_drones: int) -> ActionNames:
+    """Return the option `action` as one name, a name for each drone, or names by team.
+
+    Raises:
+        ValueError: If a name is unknown, or there is another number of names than of drones.
+    """
+    if isinstance(action, Mapping):
+        for team, name in action.items():
+            find_choice(f"action of team {shown(team)}", name, ACTIONS)
+        return dict(action)
+    if not isinstance(action, list | tuple):
+        find_choice("action", action, ACTIONS)
+        return str(action)
+    if len(action) != num_drones:
+        raise ValueError(
+            f"action has {len(action)} names for {num_drones} drones: give one name, or one for "
+            f"each drone"
+        )
+    for name in action:
+        find_choice("action", name, ACTIONS)
+    return action[0] if len(set(action)) == 1 else tuple(action)
 
 
 def check_names(name: str, what: str, given: Any, known: Sequence[str]) -> None:

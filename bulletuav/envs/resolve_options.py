@@ -97,7 +97,7 @@ def resolve_options(task: type[Task[Any]], given: Mapping[str, Any]) -> Resolved
     make_tuples(values)
     _split_range(values)
     _load_airframes(values, given)
-    if "action" not in given:
+    if "action" not in given and isinstance(values["action"], str):
         values["action"] = action_for(values["dynamics"], values["action"], values["airframe"])
     sensors = known_sensors(values.get("sensors", ()))
     known = known_uncertainties(sensors)

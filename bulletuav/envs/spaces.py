@@ -33,7 +33,13 @@ def _drone_box(action: Action, drone: int) -> Box:
 
 
 def widest_action_space(action: Action) -> Space[Any]:
-    """Return the action space of the drone with the most numbers."""
+    """Return the action space of the drone with the most numbers.
+
+    If drones differ in the kind of action, its bounds include those of all drones.
+    """
+    if action.parts:
+        low, high = action.low.min(axis=0), action.high.max(axis=0)
+        return Box(low.astype(np.float32), high.astype(np.float32), dtype=np.float32)
     drones = range(len(action.labels))
     widest = max(drones, key=action.size)
     return drone_action_space(action, widest)

@@ -1,11 +1,14 @@
 """Teams of a task by their names."""
 
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, TypeVar
 
+from bulletuav.errors import unknown
 from bulletuav.tasks.base import Task
 
 ALL = "drones"
 """Name of the only, unnamed team of a task"""
+Value = TypeVar("Value")
 
 
 def team_names(task: Task[Any]) -> tuple[str, ...]:
@@ -38,3 +41,24 @@ def team_rows(task: Task[Any]) -> dict[str, list[int]]:
         for k, name in enumerate(team_names(task))
     }
     return {name: rows for name, rows in listed.items() if rows}
+
+
+def of_drones(name: str, values: Mapping[str, Value], task: Task[Any]) -> list[Value]:
+    """Return the value of each drone from the values of the teams.
+
+    Args:
+        name: Name of the option, for messages.
+        values: Values by the name of the team; teams without drones can be left out.
+        task: The task.
+
+    Raises:
+        ValueError: If there is no such team, or the team of a drone has no value.
+    """
+    names = team_names(task)
+    for team in values:
+        if team not in names:
+            raise unknown(f"team of task {task.name!r} in {name}:", team, names)
+    missing = [team for team in team_rows(task) if team not in values]
+    if missing:
+        raise ValueError(f"{name} lacks the teams {missing}: give one for each of {list(names)}")
+    return [values[names[team]] for team in task.team.tolist()]

@@ -58,7 +58,7 @@ class Worlds(Parts):
         options, task, obstacles = spec.options, spec.task, spec.task.obstacles()
         sensors = (spec.sensors, spec.setup)
         super().__init__(options, obstacles, task.layouts(), *sensors, first_world)
-        options.check_setpoint_levels(spec.action.level, self.dynamics.consumes)
+        options.check_setpoint_levels(spec.action.kind_levels, self.dynamics.consumes)
         self.spec, self.task, self.action = spec, task, spec.action
         self.observer, self.num_worlds = spec.observer, spec.num_worlds
         self.energy = Energy(options, self.parameters, self.dynamics.supply)
@@ -80,7 +80,7 @@ class Worlds(Parts):
         sizes = Sizes(*shape, size, setpoint.shape[-1], num_obstacles, rotors)
         self.state = state = State.make(sizes, task.memory())
         state.setpoint[:] = setpoint
-        state.levels[:] = int(action.level)
+        state.levels[:] = action.levels
         self.nothing_seen = np.zeros((*shape, task.num_targets), dtype=bool)
         self.readings = {"sight": self.nothing_seen, **self.energy.readings()}
         self.frame = Frame(

@@ -7,6 +7,7 @@ from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 
+from bulletuav.control.actions import ActionNames, action_names
 from bulletuav.envs.aviary import Aviary
 from bulletuav.tasks.base import Task
 from bulletuav.tasks.observations.observer import Observation
@@ -94,22 +95,25 @@ class Policy(ABC):
             setattr(self, name, value)
 
 
-def check_action(policy: str, actions: tuple[str, ...], action: str) -> None:
+def check_action(policy: str, actions: tuple[ActionNames, ...], action: ActionNames) -> None:
     """Check that a policy supports an action type.
 
     Args:
         policy: Name of the policy, for the message.
         actions: Supported action types; empty if all are supported.
-        action: Action type of the environment.
+        action: Action type of the environment; or of each drone, or by team.
 
     Raises:
         ValueError: If the action type is not supported.
     """
-    if actions and action not in actions:
-        raise ValueError(
-            f"policy {policy!r} supports {' or '.join(actions)} actions, not {action!r}: "
-            f"choose action={actions[0]!r}"
-        )
+    if not actions or action in actions:
+        return
+    for name in action_names(action):
+        if name not in actions:
+            raise ValueError(
+                f"policy {policy!r} supports {' or '.join(map(str, actions))} actions, not "
+                f"{name!r}: choose action={actions[0]!r}"
+            )
 
 
 TaskT = TypeVar("TaskT", bound=Task[Any])

@@ -8,6 +8,7 @@ from types import MappingProxyType
 from typing import Any, NamedTuple, cast
 
 from bulletuav.catalogue import SHIPPED_NAMES
+from bulletuav.control.actions import ActionNames, action_names
 from bulletuav.envs.aviary import Aviary
 from bulletuav.envs.options import EnvOptions
 from bulletuav.envs.resolve_options import action_for, resolve_options
@@ -52,7 +53,7 @@ class PolicySpec(NamedTuple):
     """
 
     name: str
-    actions: tuple[str, ...]
+    actions: tuple[ActionNames, ...]
     reads_swarm: bool
     make: Callable[[Aviary], Policy]
     models: tuple[Path, ...] = ()
@@ -93,8 +94,8 @@ class PolicySpec(NamedTuple):
         usable = [one for one in self.actions if _is_usable(one, common)]
         if not usable:
             raise ValueError(
-                f"policy {self.name!r} supports {' or '.join(self.actions)} actions, which "
-                f"dynamics {common.dynamics_name!r} does not accept: choose another policy, or "
+                f"policy {self.name!r} supports {' or '.join(map(str, self.actions))} actions, "
+                f"which dynamics {common.dynamics_name!r} does not accept: choose another policy, or "
                 f"dynamics 'rigid_body' or 'bullet'"
             )
         if "action" in whole or common.action in self.actions:
@@ -102,9 +103,12 @@ class PolicySpec(NamedTuple):
         return {**whole, "action": usable[0]}
 
 
-def _is_usable(action: str, options: EnvOptions) -> bool:
-    """Return True if the dynamics of an environment accepts an action type."""
-    return action_for(options.dynamics, action, options.airframe) == action
+def _is_usable(action: ActionNames, options: EnvOptions) -> bool:
+    """Return True if the dynamics of an environment accepts an action type, or all of several."""
+    return all(
+        action_for(options.dynamics, name, options.airframe) == name
+        for name in action_names(action)
+    )
 
 
 def policy_names() -> list[str]:
@@ -262,7 +266,7 @@ def _from_run(folder: Path, name: str, trust: bool, task: TaskSource | None) -> 
             stacklevel=3,
         )
     path = folder / POLICY
-    actions: tuple[str, ...] = (config.action,)
+    actions: tuple[ActionNames, ...] = (config.action,)
     if not path.is_file() and (folder / OLD_MODEL).is_file():
         spec = _trusted(folder / OLD_MODEL, name, config.algo, trust)
     elif not path.exists() and (folder / CHECKPOINTS).is_dir():

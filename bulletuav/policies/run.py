@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import yaml
 
+from bulletuav.control.actions import ActionNames
 from bulletuav.envs.curriculum import Curriculum, check_stages
 from bulletuav.envs.env_spec import MAX_WORLDS
 from bulletuav.envs.options import EnvOptions
@@ -250,8 +251,8 @@ class RunConfig:
         }
 
     @property
-    def action(self) -> str:
-        """Action type of the policy."""
+    def action(self) -> ActionNames:
+        """Action type of the policy; or of each drone, or by team."""
         return self._resolved.action
 
     @property

@@ -6,6 +6,7 @@ The policy shows the difficulty of a scenario for drones without collision avoid
 import numpy as np
 
 from bulletuav.control.actions import limit_norm
+from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.policies.base import Policy
 from bulletuav.policies.landing import touch_down
 from bulletuav.registry import register
@@ -34,12 +35,13 @@ class StraightLine(Policy):
         """Command the goal position, or the velocity to the goal; see `Policy.act`."""
         scene = self.aviary.scene
         options = self.aviary.options
-        if options.action == "target_position":
+        to_goal = self.aviary.action.levels == SetpointLevel.POSITION
+        if to_goal.all():
             return self.encoded(scene.goal)
         goal_offset = scene.goal - swarm.position
         velocity = preferred_velocity(goal_offset, scene.goal_velocity, options.max_speed)
-        task = self.aviary.task
-        return self.encoded(touch_down(velocity, goal_offset, scene.goal[..., 2], task))
+        velocity = touch_down(velocity, goal_offset, scene.goal[..., 2], self.aviary.task)
+        return self.encoded(np.where(to_goal[:, None], scene.goal, velocity))
 
 
 def preferred_velocity(

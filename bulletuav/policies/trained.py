@@ -9,7 +9,7 @@ from typing import Any, cast
 import numpy as np
 from gymnasium.spaces import Box, Discrete
 
-from bulletuav.control.actions import CHOICES, Action, make_action
+from bulletuav.control.actions import CHOICES, Action, ActionNames, action_names, make_action
 from bulletuav.envs.aviary import Aviary
 from bulletuav.envs.env_spec import action_context
 from bulletuav.envs.spaces import widest_action_space
@@ -32,7 +32,7 @@ RowsToActions = Callable[[Any], np.ndarray]
 """Function from M rows of observations, or a dict of such arrays, to M rows of actions"""
 
 
-def actions_given(learned: str) -> tuple[str, ...]:
+def actions_given(learned: ActionNames) -> tuple[ActionNames, ...]:
     """List the supported action types: the trained one, and velocity for discrete choices."""
     return (learned, VELOCITY) if learned in CHOICES else (learned,)
 
@@ -92,10 +92,11 @@ class Trained(SharedPolicy):
         path = Path(path)
         weights = read_weights(path)
         self._learned = aviary.action
-        if aviary.options.action != config.action:
+        learned = action_names(config.action)
+        if action_names(aviary.options.action) != learned:
             # Decode the discrete choice, and command the chosen velocity
             context = action_context(aviary.options, aviary.task)
-            self._learned = make_action(config.action, context)
+            self._learned = make_action(learned[0], context)
         try:
             self._choose_rows = _network(aviary, config, weights, self._learned)
         except ValueError as error:

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from bulletuav.control.actions import ActionNames
 from bulletuav.envs.aviary import Aviary
 from bulletuav.envs.teams import team_names
 from bulletuav.errors import shown, unknown
@@ -147,7 +148,7 @@ class RowsPolicy(SharedPolicy):
         return given
 
 
-def joint_actions(kinds: Sequence[tuple[str, ...]]) -> tuple[str, ...]:
+def joint_actions(kinds: Sequence[tuple[ActionNames, ...]]) -> tuple[ActionNames, ...]:
     """Return the action types that all policies support, in the order of the first non-empty list.
 
     Args:

@@ -4,6 +4,7 @@ Each function that is registered as "action" makes one kind of action for the dr
 `ActionContext`. Unless its docstring says otherwise, each number is from -1 to 1.
 """
 
+import dataclasses
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 
@@ -12,6 +13,7 @@ import numpy as np
 from bulletuav.control.actions.attitudes import attitude, rates
 from bulletuav.control.actions.base import Action, ActionContext, ActionMaker, limit_norm
 from bulletuav.control.actions.choices import CHOICES, discrete, discrete_27
+from bulletuav.control.actions.mixed import mix
 from bulletuav.control.actions.motion import (
     acceleration,
     heading_speed,
@@ -32,8 +34,11 @@ __all__ = [
     "Action",
     "ActionContext",
     "ActionMaker",
+    "ActionNames",
+    "action_names",
     "limit_norm",
     "make_action",
+    "make_actions",
     "usable_action",
 ]
 
@@ -58,6 +63,8 @@ ACTIONS: Mapping[str, ActionMaker] = MappingProxyType(
     }
 )
 """Makers of the package's own actions, by name; read-only"""
+ActionNames = str | tuple[str, ...] | Mapping[str, str]
+"""Name of the action of all drones, a name for each drone, or names by team"""
 LEVEL_ACTIONS: Mapping[SetpointLevel, str] = MappingProxyType(
     {
         SetpointLevel.POSITION: "target_position",
@@ -86,6 +93,38 @@ def make_action(source: str | ActionMaker, context: ActionContext) -> Action:
     """
     maker: ActionMaker = find("action", source, callable)
     return maker(context)
+
+
+def make_actions(names: Sequence[str], context: ActionContext) -> Action:
+    """Make the action of drones that may differ in kind.
+
+    Args:
+        names: Name of each drone's action.
+        context: Facts about the environment.
+
+    Returns:
+        The action of that name if all drones have the same one, else the mix of them.
+
+    Raises:
+        ValueError: If there is no such action, or discrete actions are mixed with others.
+    """
+    kinds = list(dict.fromkeys(names))
+    if len(kinds) == 1:
+        return make_action(kinds[0], context)
+    part_of = [kinds.index(name) for name in names]
+    parts = []
+    for k, kind in enumerate(kinds):
+        own = zip(context.airframes, part_of, strict=True)
+        airframes = tuple(airframe for airframe, part in own if part == k)
+        parts.append(make_action(kind, dataclasses.replace(context, airframes=airframes)))
+    return mix(names, parts, part_of)
+
+
+def action_names(action: ActionNames) -> tuple[str, ...]:
+    """List the different names in an option `action`, in the order in which they are given."""
+    if isinstance(action, str):
+        return (action,)
+    return tuple(dict.fromkeys(action.values() if isinstance(action, Mapping) else action))
 
 
 def usable_action(action: str, airframes: Sequence[Airframe], consumes: SetpointLevel) -> str:

@@ -58,6 +58,9 @@ class Action:
             is relative to them.
         choices: Number of discrete actions; A is 1 then, and the number is the choice. None for
             continuous actions.
+        parts: The kinds of action, if drones have different ones; see
+            `bulletuav.control.actions.mixed.mix`. `level` is the highest of theirs then.
+        part_of: Index of the kind of each drone, if drones have different ones.
     """
 
     name: str
@@ -68,6 +71,24 @@ class Action:
     decode: Decoder
     encode: Encoder | None = None
     choices: int | None = None
+    parts: tuple["Action", ...] = ()
+    part_of: tuple[int, ...] = ()
+
+    @property
+    def kinds(self) -> tuple["Action", ...]:
+        """The kinds of action of the drones: the action itself if all have the same."""
+        return self.parts or (self,)
+
+    @property
+    def levels(self) -> np.ndarray:
+        """Level of each drone's setpoint, (N,)."""
+        part_of = self.part_of or (0,) * len(self.labels)
+        return np.array([self.kinds[k].level for k in part_of])
+
+    @property
+    def kind_levels(self) -> dict[str, SetpointLevel]:
+        """Level of the setpoints of each kind of action, by its name."""
+        return {kind.name: kind.level for kind in self.kinds}
 
     def size(self, drone: int) -> int:
         """Count the numbers that a drone reads."""

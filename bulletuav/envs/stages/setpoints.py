@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from bulletuav.compiled.kernel import kernel
 from bulletuav.compiled.program import Program
 from bulletuav.control.actions.base import Compiled, limit_each
 from bulletuav.control.setpoint import SetpointLevel
@@ -31,7 +32,20 @@ class MakeSetpoints(Stage):
             limit = np.array(worlds.task.speed_limit, dtype=float)
             program.call(limit_each, state.setpoint, limit)
         # Velocity increments add to the last commanded velocity
-        if action.level == SetpointLevel.VELOCITY:
+        commands = action.levels == SetpointLevel.VELOCITY
+        if commands.all():
             program.call(copy_vectors, state.setpoint, state.commanded)
+        elif commands.any():
+            program.call(_copy_commanded, state.setpoint, commands, state.commanded)
         if worlds.uncertainty.drains:
             program.callback(lambda: worlds.uncertainty.drain(state.time))
+
+
+@kernel
+def _copy_commanded(setpoint: np.ndarray, commands: np.ndarray, commanded: np.ndarray) -> None:
+    """Copy the velocities of setpoints (W, N, S) of drones of the mask `commands` (N,)."""
+    for w in range(setpoint.shape[0]):
+        for i in range(setpoint.shape[1]):
+            if commands[i]:
+                for k in range(3):
+                    commanded[w, i, k] = setpoint[w, i, k]
