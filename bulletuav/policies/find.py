@@ -95,8 +95,8 @@ class PolicySpec(NamedTuple):
         if not usable:
             raise ValueError(
                 f"policy {self.name!r} supports {' or '.join(map(str, self.actions))} actions, "
-                f"which dynamics {common.dynamics_name!r} does not accept: choose another policy, or "
-                f"dynamics 'rigid_body' or 'bullet'"
+                f"which dynamics {common.dynamics_name!r} does not accept: choose another policy, "
+                f"or dynamics 'rigid_body' or 'bullet'"
             )
         if "action" in whole or common.action in self.actions:
             return whole
