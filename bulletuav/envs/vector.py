@@ -59,8 +59,8 @@ class BatchAviary(LabelledEnvironment):
         num_drones: Number of drones N of a world.
         autoreset_mode: When finished worlds are reset.
         observation_space: Observation space of one drone.
-        action_space: Action space of one drone. In a mixed swarm drones with fewer rotors ignore
-            the last numbers.
+        action_space: Action space of one drone. In a mixed swarm drones with fewer rotors, or
+            smaller actions, ignore the last numbers, which are clipped to 0.
     """
 
     def __init__(

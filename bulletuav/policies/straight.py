@@ -41,7 +41,9 @@ class StraightLine(Policy):
         goal_offset = scene.goal - swarm.position
         velocity = preferred_velocity(goal_offset, scene.goal_velocity, options.max_speed)
         velocity = touch_down(velocity, goal_offset, scene.goal[..., 2], self.aviary.task)
-        return self.encoded(np.where(to_goal[:, None], scene.goal, velocity))
+        if to_goal.any():
+            velocity = np.where(to_goal[:, None], scene.goal, velocity)
+        return self.encoded(velocity)
 
 
 def preferred_velocity(

@@ -80,7 +80,7 @@ BAD = [
     ("hover", {"weights": {"speed": float("nan")}}, "weight of reward term 'speed' is nan"),
     ("hover", {"effects": None}, "effects is None"),
     ("hover", {"wind": 5.0}, "wind is 5.0"),
-    ("hover", {"action": ["rotor"]}, "unknown action"),
+    ("hover", {"action": [["rotor"]]}, "unknown action"),
     ("hover", {"difficulty": ["easy"]}, "unknown difficulty"),
     ("hover", {"observation": 5}, "observation is 5"),
     ("hover", {"start": (("a", "b", "c"),)}, "1 finite positions"),

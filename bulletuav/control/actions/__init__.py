@@ -13,7 +13,7 @@ import numpy as np
 from bulletuav.control.actions.attitudes import attitude, rates
 from bulletuav.control.actions.base import Action, ActionContext, ActionMaker, limit_norm
 from bulletuav.control.actions.choices import CHOICES, discrete, discrete_27
-from bulletuav.control.actions.mixed import mix
+from bulletuav.control.actions.mixed import mix_actions
 from bulletuav.control.actions.motion import (
     acceleration,
     heading_speed,
@@ -117,7 +117,7 @@ def make_actions(names: Sequence[str], context: ActionContext) -> Action:
         own = zip(context.airframes, part_of, strict=True)
         airframes = tuple(airframe for airframe, part in own if part == k)
         parts.append(make_action(kind, dataclasses.replace(context, airframes=airframes)))
-    return mix(names, parts, part_of)
+    return mix_actions(names, parts, part_of)
 
 
 def action_names(action: ActionNames) -> tuple[str, ...]:

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -59,7 +60,7 @@ class Action:
         choices: Number of discrete actions; A is 1 then, and the number is the choice. None for
             continuous actions.
         parts: The kinds of action, if drones have different ones; see
-            `bulletuav.control.actions.mixed.mix`. `level` is the highest of theirs then.
+            `bulletuav.control.actions.mixed.mix_actions`. `level` is the highest of theirs then.
         part_of: Index of the kind of each drone, if drones have different ones.
     """
 
@@ -79,7 +80,7 @@ class Action:
         """The kinds of action of the drones: the action itself if all have the same."""
         return self.parts or (self,)
 
-    @property
+    @cached_property
     def levels(self) -> np.ndarray:
         """Level of each drone's setpoint, (N,)."""
         part_of = self.part_of or (0,) * len(self.labels)

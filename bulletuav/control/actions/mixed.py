@@ -8,7 +8,7 @@ import numpy as np
 from bulletuav.control.actions.base import Action, Encoder
 
 
-def mix(names: Sequence[str], parts: Sequence[Action], part_of: Sequence[int]) -> Action:
+def mix_actions(names: Sequence[str], parts: Sequence[Action], part_of: Sequence[int]) -> Action:
     """Create the action of drones of several kinds.
 
     Actions (W, N, A) have as many numbers as the drone with the most. The others of a drone are
