@@ -7,9 +7,11 @@ import pytest
 from gymnasium.spaces import Box
 
 import bulletuav
+from bulletuav.adapters.self_play import CentralTeamAviary, team_env
 from bulletuav.cli import main
 from bulletuav.control.actions import ActionContext, make_action, make_actions
 from bulletuav.envs.aviary import Aviary
+from bulletuav.envs.common_spaces import common_observation
 from bulletuav.envs.env_spec import EnvSpec
 from bulletuav.envs.gymnasium import CentralAviary
 from bulletuav.policies import find_policy
@@ -111,6 +113,33 @@ def test_actions_are_given_by_team():
     assert env.state_hash() == listed.state_hash()
     env.close()
     listed.close()
+
+
+def test_a_team_learns_with_its_own_action_against_another_one():
+    mixed = {"chasers": "rates", "evaders": "velocity"}
+    options = {"dynamics": "rigid_body", "evader_speed": 1.0, "action": mixed}
+    env = team_env("pursuit_evasion", "evaders", "random", **options)
+    assert [space.shape for space in env.action_spaces.values()] == [(3,)]
+    env.reset(seed=0)
+    env.step({agent: np.full(3, 0.1) for agent in env.agents})
+    # The random rates of the chasers have turned them, and velocities hold the yaw
+    rates = np.abs(env.env.aviary.swarm.rates[0]).max(axis=1)
+    assert (rates[:3] > 0.1).all()
+    env.close()
+    joint = CentralTeamAviary("pursuit_evasion", "chasers", "random", **options)
+    assert joint.action_space.shape == (12,)
+    joint.reset(seed=0)
+    joint.step(np.full(12, 0.1))
+    joint.close()
+    with pytest.raises(ValueError, match="'flee' supports velocity .* not 'rates'"):
+        team_env("pursuit_evasion", "chasers", "flee", **options).reset(seed=0)
+
+
+def test_stages_with_other_mixes_are_no_curriculum():
+    mixes = (["rates", "velocity"], ["velocity", "rates"])
+    specs = [EnvSpec("hover", 1, {"num_drones": 2, "action": one}) for one in mixes]
+    with pytest.raises(ValueError, match="'1 x rates, 1 x velocity', '1 x velocity, 1 x rates'"):
+        common_observation(specs)
 
 
 def _context(drones):
