@@ -178,7 +178,8 @@ class Worlds(Parts):
             "parameters": self.parameters,
             "controller": self.cascade.memory,
             "charge": self.energy.readings()["charge"],
-            **self.body_arrays(),
+            # Bodies of `add_body` never move
+            **(self.body_arrays() if self.bodies.count else {}),
             **({"members": self.members} if self.options.has_absent else {}),
             **self.schedule.arrays(),
         }

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from bulletuav.compiled.functions import atan2
 from bulletuav.geometry.graphs import connect_components
 from bulletuav.geometry.polygons import (
     SLIVER,
@@ -227,7 +228,7 @@ def _winding(corners: np.ndarray, points: np.ndarray) -> np.ndarray:
     below = lengths[0] * lengths[1] * lengths[2]
     for one, two, opposite in ((a, b, 2), (b, c, 0), (c, a, 1)):
         below = below + (one * two).sum(axis=-1) * lengths[opposite]
-    share: np.ndarray = np.abs(np.arctan2(triple, below).sum(axis=1)) / (2 * np.pi)
+    share: np.ndarray = np.abs(atan2(triple, below).sum(axis=1)) / (2 * np.pi)
     return share
 
 

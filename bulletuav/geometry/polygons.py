@@ -6,6 +6,7 @@ from typing import Any, cast
 
 import numpy as np
 
+from bulletuav.compiled.functions import hypot
 from bulletuav.errors import missing_extra
 from bulletuav.geometry.convex import MAX_FACE_CORNERS
 
@@ -133,7 +134,7 @@ def _is_convex_at(points: np.ndarray, piece: list[int], corner: int) -> bool:
     k = piece.index(corner)
     around = points[[piece[k - 1], corner, piece[(k + 1) % len(piece)]]]
     before, after = np.diff(around, axis=0)
-    scale = np.hypot(*before) * np.hypot(*after)
+    scale = hypot(*before) * hypot(*after)
     return bool(_cross(before, after) >= -STRAIGHT * scale)
 
 

@@ -68,7 +68,7 @@ ADVICE = (
 )
 
 
-class Event(NamedTuple):
+class LogEvent(NamedTuple):
     """Kind of event: its name, and the NumPy type of its variables."""
 
     name: str
@@ -133,7 +133,7 @@ def _read_events(data: bytes) -> Iterator[Series]:
         yield Series(event.name, unit * rows["timestamp"].astype(np.float64), columns, {})
 
 
-def _read_event(data: bytes, start: int, clock: np.dtype) -> tuple[int, Event, int]:
+def _read_event(data: bytes, start: int, clock: np.dtype) -> tuple[int, LogEvent, int]:
     """Read a kind of event; return its number, the event and the next byte."""
     (number,) = struct.unpack_from("<H", data, start)
     name, start = _read_text(data, start + 2)
@@ -149,7 +149,7 @@ def _read_event(data: bytes, start: int, clock: np.dtype) -> tuple[int, Event, i
         if variable[-3:-2] != "(" or variable[-1:] != ")" or kind not in TYPES:
             raise ValueError(f"the variable {variable!r} has no known type")
         fields.append((variable[:-3], np.dtype(TYPES[kind])))
-    return number, Event(name, np.dtype(fields)), start
+    return number, LogEvent(name, np.dtype(fields)), start
 
 
 def _read_text(data: bytes, start: int) -> tuple[str, int]:

@@ -16,6 +16,7 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
+from bulletuav.compiled.functions import acos, atan2, cos, hypot, sin
 from bulletuav.errors import require_file
 from bulletuav.files import replace_file
 from bulletuav.geometry.rotation import Quat4Like, axes
@@ -283,8 +284,8 @@ def _place_rotors(
 def _rotor_place(urdf: UrdfFile, link: PlacedLink) -> np.ndarray:
     """Return the place of a rotor: the centre of mass of its link, where the simulators push."""
     up = axes(link.quaternion)[2]
-    if up[2] < math.cos(MAX_TILT):
-        tilt = math.degrees(math.acos(max(-1.0, min(1.0, up[2]))))
+    if up[2] < cos(MAX_TILT):
+        tilt = math.degrees(acos(max(-1.0, min(1.0, up[2]))))
         reason = f"its axis leans by {tilt:.3g} degrees: rotors push along z of the root link"
         raise urdf.make_error("link", link.name, reason)
     inertial = link.element.find("inertial")
@@ -306,7 +307,7 @@ def _place_on_arms(urdf: UrdfFile, properties: ElementTree.Element) -> np.ndarra
         reason = "x or + is needed, as there are no links of rotors"
         raise urdf.make_error("properties layout", properties.get("layout", "missing"), reason)
     turn = first - np.arange(4) * math.pi / 2
-    return arm * np.stack([np.cos(turn), np.sin(turn), np.zeros(4)], axis=1)
+    return arm * np.stack([cos(turn), sin(turn), np.zeros(4)], axis=1)
 
 
 def _alternate(urdf: UrdfFile, places: np.ndarray) -> list[str]:
@@ -315,7 +316,7 @@ def _alternate(urdf: UrdfFile, places: np.ndarray) -> list[str]:
         reason = "directions of rotation cannot alternate: add a motor plugin for each rotor"
         raise urdf.make_error("rotor", f"there {len(places)} times", reason)
     # Rounded, so that a rotor at the nose is the first
-    azimuth = np.round(np.degrees(np.arctan2(-places[:, 1], places[:, 0])), 6) % 360
+    azimuth = np.round(np.degrees(atan2(-places[:, 1], places[:, 0])), 6) % 360
     rank = np.argsort(np.argsort(azimuth, kind="stable"), kind="stable")
     return ["cw" if k % 2 else "ccw" for k in rank.tolist()]
 
@@ -423,11 +424,11 @@ def _reach(shape: Shape, place: np.ndarray, turn: Quat4Like) -> tuple[float, flo
     """Return the maximum distance from the z axis, and the maximum distance from z = 0, m."""
     if shape.kind == SPHERE:
         radius = shape.half[0]
-        return float(np.hypot(*place[:2])) + radius, abs(float(place[2])) + radius
+        return float(hypot(place[0], place[1])) + radius, abs(float(place[2])) + radius
     rotation = np.array(axes(turn)).T
     if shape.kind == CYLINDER and rotation[2, 2] ** 2 > 1 - NEAR**2:
         radius, _, half = shape.half
-        return float(np.hypot(*place[:2])) + radius, abs(float(place[2])) + half
+        return float(hypot(place[0], place[1])) + radius, abs(float(place[2])) + half
     if shape.kind == HULL:
         corners = np.array(shape.corners)
     elif shape.kind == BOX:
@@ -435,13 +436,13 @@ def _reach(shape: Shape, place: np.ndarray, turn: Quat4Like) -> tuple[float, flo
         corners = signs * shape.half
     else:
         angle = 2 * np.pi * np.arange(SIDES) / SIDES
-        wide = shape.half[0] / math.cos(math.pi / SIDES)
-        ring = wide * np.stack([np.cos(angle), np.sin(angle), np.zeros(SIDES)], axis=1)
+        wide = shape.half[0] / cos(math.pi / SIDES)
+        ring = wide * np.stack([cos(angle), sin(angle), np.zeros(SIDES)], axis=1)
         corners = np.concatenate(
             [ring + np.array((0, 0, z)) for z in (-shape.half[2], shape.half[2])]
         )
     points = corners @ rotation.T + place
-    return float(np.hypot(points[:, 0], points[:, 1]).max()), float(np.abs(points[:, 2]).max())
+    return float(hypot(points[:, 0], points[:, 1]).max()), float(np.abs(points[:, 2]).max())
 
 
 def _list_visuals(
@@ -507,9 +508,9 @@ def _numbers(values: Iterable[float]) -> str:
 def _format_visual(shape: Shape, place: np.ndarray, turn: Quat4Like, colour: str | None) -> str:
     """Return a `<visual>` element of a shape at a pose."""
     x, y, z, w = turn
-    roll = math.atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
-    pitch = math.asin(max(-1.0, min(1.0, 2 * (w * y - z * x))))
-    yaw = math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+    roll = atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
+    pitch = math.pi / 2 - acos(max(-1.0, min(1.0, 2 * (w * y - z * x))))
+    yaw = atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
     material = ""
     if colour is not None:
         name = quoteattr(f"colour {colour}")

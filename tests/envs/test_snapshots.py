@@ -11,6 +11,7 @@ import pytest
 from gymnasium.vector import AutoresetMode
 
 import bulletuav
+from bulletuav.envs.bodies import Body, as_bodies
 from bulletuav.envs.descriptions import WITHOUT_EFFECT, canonical_text, describe_parts
 from bulletuav.envs.env_spec import EnvSpec
 from bulletuav.envs.events import as_events
@@ -739,6 +740,7 @@ def test_every_option_is_among_the_parts_of_a_snapshot_or_without_effect(task):
     parts = describe_parts(spec.options, spec.task)
     values = {one: getattr(other.options, one) for one in ("airframe", "randomization", "sensors")}
     values |= {"observation": other.options.observation, "reward": {"mine": (len, 0.1)}}
+    values["bodies"] = as_bodies([Body(Obstacle("sphere", (0.3,)), (0.0, 0.0, 9.0))])
     values["events"] = as_events({"time": 1.0, "added_mass": 0.01})
     for field in dataclasses.fields(EnvOptions):
         value = values.get(field.name, ANOTHER)
