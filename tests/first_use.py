@@ -28,9 +28,14 @@ def entry_points():
         env.reset(seed=0)
         env.close()
 
+    def recorded():
+        with bulletuav.Airspace([(0.0, 0.0, 1.0)], dynamics="point_mass") as airspace:
+            bulletuav.AirspaceRecorder(airspace).close()
+
     return {
         "Airframe": lambda: bulletuav.Airframe,
         "Airspace": lambda: bulletuav.Airspace([(0.0, 0.0, 1.0)]).close(),
+        "AirspaceRecorder": recorded,
         "Aviary": lambda: bulletuav.Aviary("crossing", 2, **options).close(),
         "SetpointLevel": lambda: bulletuav.SetpointLevel.ROTOR,
         "Versus": lambda: bulletuav.Versus(chasers="pursue", evaders="stay"),

@@ -1,6 +1,7 @@
 """Bodies that move through worlds: their validated motion, and functions of time."""
 
 import dataclasses
+import inspect
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -181,8 +182,16 @@ def draw_bodies(
     """Draw bodies, and check them.
 
     Raises:
-        ValueError: If the function returns something else, or a body is invalid.
+        ValueError: If the function takes no generator or returns something else, or a body is
+            invalid.
     """
+    try:
+        inspect.signature(draw).bind(rng)
+    except (TypeError, ValueError) as error:
+        raise ValueError(
+            f"bodies: the function {shown(draw)} has to take one argument, the random generator "
+            f"({error})"
+        ) from None
     return _as_bodies("the function of bodies returned a list that", draw(rng))
 
 

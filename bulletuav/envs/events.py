@@ -145,7 +145,7 @@ def _as_event(given: Any) -> Event:
         )
     for name in given:
         if name not in ("time", "drone", *CHANGES):
-            raise unknown("attribute of an event", name, ("time", "drone", *CHANGES))
+            raise unknown("attribute of one of events:", name, ("time", "drone", *CHANGES))
     if "time" not in given:
         raise ValueError(f"events has {shown(dict(given))}: it lacks a time")
     return Event(**given)

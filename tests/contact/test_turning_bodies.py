@@ -110,7 +110,9 @@ def test_pieces_move_on_circles_about_the_origin_of_their_body(tmp_path):
     text = ""
     for name, shift in (("near", 0), ("far", 3)):
         text += f"o {name}\n" + "".join(f"v {x + shift} {y} {z}\n" for x, y, z in corners)
-        text += "f -8 -7 -6\nf -5 -4 -3\nf -2 -1 -8\n"
+        # Corners count from the last: 4 x + 2 y + z - 8
+        text += "f -8 -7 -5 -6\nf -4 -2 -1 -3\nf -8 -4 -3 -7\n"
+        text += "f -6 -5 -1 -2\nf -8 -6 -2 -4\nf -7 -3 -1 -5\n"
     (tmp_path / "two.obj").write_text(text)
     airspace = Airspace([(0.0, 0.0, 20.0)], dynamics="point_mass", decision_hz=48)
     airspace.add_body(
