@@ -21,7 +21,7 @@ from bulletuav.envs.airspace import CHANGES, Airspace
 from bulletuav.envs.airspace_world import AirspaceWorld
 from bulletuav.envs.aviary import NOTHING_STANDS
 from bulletuav.envs.descriptions import describe_options
-from bulletuav.errors import find_choice, shown
+from bulletuav.errors import as_int, find_choice, shown
 from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.geometry.solids import Solids
 from bulletuav.parsing import read_json
@@ -169,11 +169,14 @@ class AirspaceRecorder:
         self.close()
 
 
-def fly_calls(path: Path, trust: bool, progress: Callable[[], None] = lambda: None) -> Recording:
+def fly_calls(
+    path: Path, most: int, trust: bool, progress: Callable[[], None] = lambda: None
+) -> Recording:
     """Fly the calls of a recorded airspace again.
 
     Args:
         path: The file `calls.json`.
+        most: Maximum number of steps: that of the recording.
         trust: Whether names in it may refer to code.
         progress: Callback after every step.
 
@@ -189,10 +192,13 @@ def fly_calls(path: Path, trust: bool, progress: Callable[[], None] = lambda: No
         args, kwargs, calls = (_restored(content[name]) for name in ("args", "kwargs", "calls"))
         airspace = Airspace(*args, **kwargs)
         with airspace, AirspaceRecorder(airspace) as recorder:
-            for name, *arguments in calls:
+            for call in calls:
+                name, *arguments = call if isinstance(call, list) and call else ("",)
                 find_choice("call", name, dict.fromkeys(CHANGES))
                 if name == STEP:
-                    for _ in range(arguments[0]):
+                    steps = as_int("steps", arguments[0], 1, most)
+                    most -= steps
+                    for _ in range(steps):
                         airspace.step()
                         progress()
                 else:

@@ -175,6 +175,13 @@ class Schedule:
                 f"wind of an event is {event.wind}, and dynamics {parts.options.dynamics_name!r} "
                 f"ignores wind: use 'point_mass', 'rigid_body' or 'bullet'"
             )
+        limited = parts.options.battery_capacity is not None
+        if event.added_mass is not None and limited and parts.options.energy != "actuator":
+            raise ValueError(
+                f"added_mass of an event is {event.added_mass:g} kg, which energy "
+                f"{parts.options.energy!r} ignores, so that batteries would last too long: use "
+                f"energy='actuator', or leave out battery_capacity"
+            )
         given = Condition(event.rotor_effectiveness, event.added_mass, event.added_inertia)
         if given == Condition():
             return given
@@ -195,10 +202,15 @@ class Schedule:
         drones = self._parts.parameters.shape[1]
         return {"event time": (0.0, MAX_TIME), "event drone": (-1, drones - 1)}
 
-    def reset(self, world: int, rng: np.random.Generator) -> None:
+    def reset(self, world: int, rng: np.random.Generator, members: np.ndarray) -> None:
         """Draw the events of a new episode, and undo those of the episode before.
 
         `Uncertainty.reset` undoes added masses.
+
+        Args:
+            world: Index of the world.
+            rng: Random generator of the world.
+            members: (N,) bool, drones that take part, among which random ones are drawn.
         """
         parts = self._parts
         parts.dynamics.rotor_ratio[world] = 1.0
@@ -209,7 +221,8 @@ class Schedule:
             low, high = event.time_bounds
             self.time[world, k] = rng.uniform(low, high) if low < high else low
             if event.drone == RANDOM:
-                self.drone[world, k] = rng.integers(parts.parameters.shape[1])
+                present = np.flatnonzero(members)
+                self.drone[world, k] = present[rng.integers(len(present))]
             elif event.drone is not None:
                 self.drone[world, k] = event.drone
 

@@ -118,6 +118,11 @@ class EnvSpec:
             camera_format=self.options.camera_format,
         )
         self._check_pictures()
+        if getattr(self.task, "respawns", False) and count_bodies(self.options.bodies):
+            raise ValueError(
+                "at_goal is 'respawn', and new goals may lie in bodies: leave out bodies, or "
+                "choose another at_goal"
+            )
         drones = ObservationBuilder(STATE, *parts)
         self.state = GlobalState(self.task, drones, self.options)
         self._require_memory(self._world_bytes())

@@ -171,7 +171,7 @@ class EpisodeStart:
                 worlds.wind.reset(k, rng)
                 worlds.uncertainty.reset(k, rng)
                 if has_events:
-                    worlds.schedule.reset(k, rng)
+                    worlds.schedule.reset(k, rng, worlds.members[k])
         worlds.forget_derived()
         self._start.run()
 

@@ -114,6 +114,11 @@ def _require_effects(task: Task[Any], options: EnvOptions, given: Mapping[str, A
             f"{moving[0]} cannot be given in task {task.name!r}: its drones start level and at "
             f"rest on the ground; leave it out"
         )
+    if given.get("velocity") is not None and options.dynamics_name == "single_integrator":
+        raise ValueError(
+            "velocity has no effect in dynamics 'single_integrator', which flies as commanded: "
+            "leave it out, or use other dynamics"
+        )
     consumes: object = find_dynamics(options.dynamics).consumes
     rotates = not isinstance(consumes, SetpointLevel) or consumes == SetpointLevel.ROTOR
     if given.get("rates") is not None and not rotates:

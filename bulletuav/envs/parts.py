@@ -27,7 +27,7 @@ from bulletuav.envs.snapshot import (
     hash_array_rows,
     pack_worlds,
 )
-from bulletuav.geometry.obstacle import MAX_SIZE, Obstacle
+from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.geometry.solids import Solids
 from bulletuav.sensors.base import Sensor, SensorSetup
 from bulletuav.sensors.lidar import make_beams
@@ -39,8 +39,10 @@ from bulletuav.vehicle.wind import Wind
 
 BODY_STATE = ("position", "quaternion", "velocity", "spin")
 """Arrays of `Scenery.bodies` that are in snapshots"""
+MAX_PLACE = 1e7
+"""Maximum coordinate of a body in a snapshot, m, which the fastest one reaches after a day"""
 BODY_BOUNDS: Bounds = {
-    "body position": (-MAX_SIZE, 2 * MAX_SIZE),
+    "body position": (-MAX_PLACE, MAX_PLACE),
     "body quaternion": (-1.0 - UNIT, 1.0 + UNIT),
     "body velocity": (-MAX_SPEED, MAX_SPEED),
     "body spin": (-MAX_SPIN, MAX_SPIN),

@@ -137,9 +137,10 @@ class Verifier(NamedTuple):
         """Repeat the flight of a recording that `bulletuav fly` wrote."""
         recording = load(folder)
         if CALLS_FILE in about.get("files", {}):
-            with self.show("flying", len(recording.reward), "steps") as report:
-                steps = itertools.count(1)
-                flown = fly_calls(folder / CALLS_FILE, self.trust, lambda: report(next(steps)))
+            most, done = len(recording.reward), itertools.count(1)
+            with self.show("flying", most, "steps") as report:
+                calls = folder / CALLS_FILE
+                flown = fly_calls(calls, most, self.trust, lambda: report(next(done)))
             return [Check("flight", about["hash"], flown.hash(like=recording))]
         call = self._parse_call(about, folder / RUN)
         if lacking := {"policy", "seed", "num_worlds"} - set(call):

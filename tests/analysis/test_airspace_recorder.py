@@ -114,7 +114,7 @@ def test_other_calls_are_another_flight(flight, tmp_path):
     content = json.loads((folder / "calls.json").read_text(encoding="utf-8"))
     content["calls"][0][1][2][0] = 1.0 + 1e-9
     (tmp_path / "calls.json").write_text(json.dumps(content), encoding="utf-8")
-    assert fly_calls(tmp_path / "calls.json", False).hash() != recording.hash()
+    assert fly_calls(tmp_path / "calls.json", STEPS, False).hash() != recording.hash()
 
 
 def test_a_flight_from_a_used_airspace_is_recorded_but_not_verified(tmp_path):
@@ -188,6 +188,9 @@ def test_all_changes_of_an_airspace_are_kept():
 
 DAMAGED = {
     "call": lambda content: content["calls"].insert(0, ["close", [], {}]),
+    "too many steps": lambda content: content["calls"].append(["step", 10**12]),
+    "negative steps": lambda content: content["calls"].append(["step", -5]),
+    "empty call": lambda content: content["calls"].append([]),
     "steps": lambda content: content["calls"].insert(0, ["step"]),
     "arguments": lambda content: content["calls"].insert(0, ["place", 3]),
     "no calls": lambda content: content.pop("calls"),
@@ -203,8 +206,8 @@ def test_damaged_calls_give_one_clear_error(flight, tmp_path, name):
     DAMAGED[name](content)
     path = tmp_path / "calls.json"
     path.write_text(json.dumps(content), encoding="utf-8")
-    with pytest.raises(ValueError, match="fly it again|unknown|pass --trust|option"):
-        fly_calls(path, False)
+    with pytest.raises(ValueError, match="fly it again|unknown|pass --trust|option|steps is|call"):
+        fly_calls(path, STEPS, False)
 
 
 def test_bodies_that_come_move_and_go_are_recorded_and_flown_again(tmp_path):
@@ -228,5 +231,5 @@ def test_bodies_that_come_move_and_go_are_recorded_and_flown_again(tmp_path):
     turn = (0.0, 0.0, np.sin(0.5), np.cos(0.5))
     np.testing.assert_allclose(recording.scene["obstacle_quaternion"][3, 0], turn, atol=1e-12)
     assert recording.obstacle_radius.tolist() == [0.5]
-    again = fly_calls(tmp_path / "calls.json", trust=False)
+    again = fly_calls(tmp_path / "calls.json", 10**3, trust=False)
     assert again.hash() == recording.hash()

@@ -2,6 +2,7 @@
 
 import json
 import math
+import pickle
 
 import numpy as np
 import pytest
@@ -270,3 +271,17 @@ def test_bodies_work_in_all_interfaces():
     env.reset(seed=0)
     assert bodies_of(env.aviary).position.tolist() == [[[0, 0, 90]]]
     env.close()
+
+
+def test_new_goals_and_bodies_exclude_each_other():
+    with pytest.raises(ValueError, match="at_goal is 'respawn', and new goals may lie in bodies"):
+        bulletuav.Aviary("free_flight", at_goal="respawn", bodies=[Body(BALL, (0, 0, 60))])
+
+
+def test_bodies_far_away_are_saved_and_loaded():
+    airspace = bulletuav.Airspace([(0.0, 0.0, 1.0)], dynamics="point_mass", decision_hz=1)
+    airspace.add_body(BALL, (-4000.0, 0.0, 60.0), velocity=(-100.0, 0.0, 0.0))
+    for _ in range(3):
+        airspace.step()
+    airspace.load_state(pickle.loads(pickle.dumps(airspace.save_state())))
+    airspace.close()

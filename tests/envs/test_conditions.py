@@ -223,7 +223,7 @@ def test_a_recorded_airspace_with_conditions_flies_again_to_the_bit(tmp_path):
         airspace.set_condition(0, rotor_effectiveness=np.array([0.9, 1, 1, 1]), added_mass=0.003)
         steps(airspace, 10)
     recorder.save(tmp_path)
-    again = fly_calls(tmp_path / "calls.json", trust=False)
+    again = fly_calls(tmp_path / "calls.json", 10**3, trust=False)
     assert (again.position == recorder.recording().position).all()
 
 
@@ -388,3 +388,22 @@ def test_dynamics_that_ignore_an_event_refuse_it():
 def test_one_event_needs_no_list():
     assert as_events(PARCEL) == as_events([Event(**PARCEL)])
     assert as_events(Event(time=(2.0, 2.0), added_mass=0.01)) == (Event(2.0, added_mass=0.01),)
+
+
+def test_random_drones_of_events_are_among_those_that_take_part():
+    event = {"time": 0.0, "drone": "random", "added_mass": 0.01}
+    aviary = bulletuav.Aviary(
+        "crossing", 32, num_drones=(2, 8), dynamics="rigid_body", events=[event]
+    )
+    aviary.reset(seeds=0)
+    drawn = aviary.worlds.schedule.drone[:, 0]
+    assert aviary.worlds.members[np.arange(32), drawn].all()
+    assert len(set(drawn.tolist())) > 3
+    aviary.close()
+
+
+def test_batteries_by_weight_take_no_parcel():
+    options = {"battery_capacity": 5.0, "events": [{"time": 1.0, "added_mass": 0.01}]}
+    with pytest.raises(ValueError, match="added_mass of an event .* use energy='actuator'"):
+        bulletuav.Aviary("crossing", dynamics="rigid_body", **options)
+    bulletuav.Aviary("crossing", dynamics="rigid_body", energy="actuator", **options).close()

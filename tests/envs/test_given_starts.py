@@ -134,6 +134,9 @@ def test_values_without_effect_are_refused():
         env.reset(options={"rates": np.zeros((DRONES, 3))})
     with pytest.raises(ValueError, match="charge has no effect without .* battery_capacity"):
         env.reset(options={"charge": np.ones(DRONES)})
+    exact = bulletuav.parallel_env("free_flight", num_drones=DRONES, dynamics="single_integrator")
+    with pytest.raises(ValueError, match="velocity has no effect in dynamics 'single_integrator'"):
+        exact.reset(options={"velocity": np.zeros((DRONES, 3))})
     grounded = bulletuav.parallel_env("free_flight", take_off=True, **level)
     with pytest.raises(ValueError, match="velocity cannot be given .* on the ground"):
         grounded.reset(options={"velocity": np.zeros((DRONES, 3))})
