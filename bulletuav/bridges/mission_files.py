@@ -366,6 +366,14 @@ def _parse_item(item: dict[str, Any], number: int) -> MissionItem:
         for k, value in enumerate(given, start=1)
     ]
     p1, p2, p3, p4, x, y, z = values
+    # QGroundControl leaves altitudes empty that follow from the terrain
+    if math.isnan(z) and item.get("Altitude") is not None:
+        z = finite(f"Altitude of item {number}", item["Altitude"])
+        frame = TERRAIN_FRAMES[0]
+    if command == WAYPOINT:
+        for name, value in (("latitude", x), ("longitude", y), ("altitude", z)):
+            if math.isnan(value):
+                raise ValueError(f"item {number}: its {name} is missing, and a number is needed")
     return MissionItem(
         frame, command, (p1, p2, p3, p4), x, y, z, item.get("autoContinue", True) is True
     )

@@ -111,6 +111,9 @@ def find_other_kind(tags: Mapping[str, Any], height: str, is_tagged: bool) -> st
     kind = next(
         (f"{key}={tags[key]}"[:MAX_NAME] for key in tags if _is_other(key, tags[key])), None
     )
+    denied = [f"{key}=no" for key in BUILDING_KEYS if tags.get(key) == "no"]
+    if denied:
+        return kind or denied[0]
     has_height = tags.get(height) is not None
     if is_tagged and kind is None:
         return None if has_height else "without tags of a building"

@@ -187,7 +187,8 @@ class HeightReader:
         """Return the height of the underside above the ground, m."""
         value = properties.get("min_height")
         if value is None:
-            return LEVEL * _count(properties, "building:min_level")
+            key = "building:min_level" if "building:min_level" in properties else "min_level"
+            return LEVEL * _count(properties, key)
         length, oddity = read_length(value)
         if oddity:
             kind = "underside" if oddity == "unreadable" else oddity

@@ -314,9 +314,11 @@ def require_unit(name: str, quaternion: np.ndarray) -> None:
 def require_motion(name: str, values: np.ndarray) -> None:
     """Raise ValueError for velocities, m/s, or body rates, rad/s, (..., 3) that are too fast."""
     # Half of the speed at which a flight counts as diverged
-    most = MOTION_BOUNDS[name] / 2
+    most, unit = MOTION_BOUNDS[name] / 2, "m/s" if name == "velocity" else "rad/s"
     if not (np.abs(values) < most).all():
-        raise ValueError(f"{name} is {shown(values)}: less than {most:g} is needed")
+        raise ValueError(
+            f"{name} is {shown(values)}: finite numbers of less than {most:g} {unit} are needed"
+        )
 
 
 def level_of(level: Any, consumes: SetpointLevel, options: EnvOptions) -> SetpointLevel:

@@ -154,7 +154,7 @@ class Aviary(Environment):
             goal: (N, 3) or (W, N, 3) goals in these episodes, m; None for the task's option `goal`.
             velocity: (N, 3) or (W, N, 3) velocities at the start, m/s; None for the task's own.
             quaternion: (N, 4) or (W, N, 4) attitudes at the start, body to world; None for the
-                task's own. Dynamics without tilt use the heading only.
+                task's own. It needs dynamics that rotate, as do rates.
             rates: (N, 3) or (W, N, 3) body rates at the start, rad/s; None for the task's own.
             charge: (N,) or (W, N) charge of the batteries at the start, above 0 and at most 1; None
                 for full batteries.

@@ -139,8 +139,8 @@ class EpisodeStart:
                 self.starts.store(spawns)
             else:
                 raise ValueError(
-                    f"bodies: {blocked} is in a body, in each of {MAX_TRIES} draws: keep the "
-                    f"bodies clear of starts and goals"
+                    f"bodies: {blocked} is in a body, also after {MAX_TRIES} draws of what is not "
+                    f"given: keep the bodies clear of starts and goals"
                 )
             self._slots.append(slots)
 

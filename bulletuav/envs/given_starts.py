@@ -45,12 +45,12 @@ def read_given_starts(
     Raises:
         ValueError: If a value is invalid, or has no effect in this task.
     """
-    _require_effects(task, options, given)
     rows = {
         name: split_worlds(name, value, options.num_drones, num_worlds)
         for name, value in given.items()
         if value is not None
     }
+    _require_effects(task, options, rows)
     starts: dict[tuple[int, ...], GivenStart] = {}
     found = []
     for world in worlds:
@@ -106,27 +106,30 @@ def _read_world(
     return GivenStart(GivenPositions(*places), GivenMotion(**motion), given.get(CHARGE))
 
 
-def _require_effects(task: Task[Any], options: EnvOptions, given: Mapping[str, Any]) -> None:
-    """Raise ValueError for values that would have no effect."""
-    moving = [name for name in MOTIONS if given.get(name) is not None]
+def _require_effects(
+    task: Task[Any], options: EnvOptions, given: Mapping[str, list[np.ndarray]]
+) -> None:
+    """Raise ValueError for values by world that would have no effect."""
+    moving = [name for name in MOTIONS if name in given]
     if moving and task.takes_off:
         raise ValueError(
             f"{moving[0]} cannot be given in task {task.name!r}: its drones start level and at "
             f"rest on the ground; leave it out"
         )
-    if given.get("velocity") is not None and options.dynamics_name == "single_integrator":
+    if "velocity" in given and options.dynamics_name == "single_integrator":
         raise ValueError(
             "velocity has no effect in dynamics 'single_integrator', which flies as commanded: "
             "leave it out, or use other dynamics"
         )
     consumes: object = find_dynamics(options.dynamics).consumes
     rotates = not isinstance(consumes, SetpointLevel) or consumes == SetpointLevel.ROTOR
-    if given.get("rates") is not None and not rotates:
-        raise ValueError(
-            f"rates have no effect in dynamics {options.dynamics_name!r}, whose drones do not "
-            f"rotate: leave them out, or use 'rigid_body' or 'bullet'"
-        )
-    if given.get(CHARGE) is not None and options.battery_capacity is None:
+    for name in ("quaternion", "rates"):
+        if name in given and not rotates:
+            raise ValueError(
+                f"{name} has no effect in dynamics {options.dynamics_name!r}, whose drones do not "
+                f"rotate: leave it out, or use 'rigid_body' or 'bullet'"
+            )
+    if CHARGE in given and options.battery_capacity is None:
         raise ValueError(
             "charge has no effect without the option battery_capacity: set it in W h, or to "
             "'airframe'"

@@ -273,8 +273,8 @@ def _place_rotors(
     else:
         spins = _alternate(urdf, places)
         origin = (
-            "the file has none: alternating, the first from the nose to the right ccw, as in "
-            "gym-pybullet-drones and PyFlyt"
+            "the file has none: alternating, the first from the nose to the right ccw; compare "
+            "them with the code that flew the file"
         )
         entries.append(Entry("derived", "rotor spin", " ".join(spins), origin))
     named: list[PlacedLink | None] = [*links, *[None] * (len(places) - len(links))]

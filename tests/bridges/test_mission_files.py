@@ -308,3 +308,18 @@ def test_options_without_an_effect_are_errors(words, message, capsys):
     with pytest.raises(SystemExit):
         main(["fly", *words])
     assert message in capsys.readouterr().err
+
+
+def test_altitudes_above_terrain_that_a_plan_leaves_empty(save):
+    item = waypoint(10, 20, None) | {"frame": 0, "AltitudeMode": 3, "Altitude": 8}
+    mission = read_mission(save(plan(TAKE_OFF, item, LAND)))
+    np.testing.assert_allclose(mission.waypoints()[1], [10, 20, 8], atol=0.02)
+    assert mission.notes == ("item 1: altitude above terrain is taken above home",)
+
+
+@pytest.mark.parametrize(("column", "name"), [(4, "latitude"), (5, "longitude"), (6, "altitude")])
+def test_places_that_a_waypoint_lacks_are_named(save, column, name):
+    item = waypoint(10, 20, 5)
+    item["params"][column] = None
+    with pytest.raises(ValueError, match=f"item 1: its {name} is missing"):
+        read_mission(save(plan(TAKE_OFF, item)))

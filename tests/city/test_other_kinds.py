@@ -53,12 +53,13 @@ def test_a_district_has_only_its_building(geojson):
 
 
 ABSENT = [
-    ({"building": "no"}, "without tags of a building"),
+    ({"building": "no"}, "building=no"),
     ({"building": None}, "without tags of a building"),
     ({}, "without tags of a building"),
     ({"building": "no", "landuse": "farm"}, "landuse=farm"),
     ({"razed:building": "house"}, "razed:building=house"),
     ({"abandoned:building": "house"}, "abandoned:building=house"),
+    ({"building": "no", "height": "5"}, "building=no"),
     ({"building": "yes", "demolished": "yes"}, "demolished building"),
     ({"building": "proposed"}, "proposed building"),
     ({"building": "yes", "location": "underground"}, "underground building"),
