@@ -20,6 +20,7 @@ from bulletuav.tasks.ingredients import Binding, Bound, BoundTerms, find_term, n
 from bulletuav.tasks.observations.base import Block
 from bulletuav.tasks.parts import base as part_base
 from bulletuav.tasks.parts.base import Part
+from bulletuav.tasks.parts.restarts import Restarts
 from bulletuav.tasks.parts.safety import Safety
 
 DEFAULT_SHOWS: Mapping[str, str] = MappingProxyType(
@@ -114,6 +115,7 @@ class Task(ABC, Generic[ConfigT]):
         parts: Parts of the task, in the order of `add`.
         safety: Part that counts conflicts and collisions, which rule out success; None if success
             does not depend on them.
+        restarts: Part that starts drones again whose episode would end; None if their episode ends.
         num_targets: Number of target points that drones are to see.
         zone: Separation at which the warning zone around a drone ends, m.
         arena_low: (3,) lower corner of the arena, which also bounds observed positions, m.
@@ -153,6 +155,7 @@ class Task(ABC, Generic[ConfigT]):
     team_names: ClassVar[tuple[str, ...]] = ()
 
     safety: Safety | None = None
+    restarts: Restarts | None = None
     rebound: float | None = None
     speed_limit: np.ndarray | None = None
     num_targets: int = 0

@@ -9,6 +9,7 @@ from bulletuav.tasks.goal_flight import GOAL_FLIGHT_SHIRKERS, FlightConfig, Goal
 from bulletuav.tasks.parts.difficulties import AIRSPACE_DIFFICULTIES
 from bulletuav.tasks.parts.free_space import FreeSpace, FreeSpaceOptions
 from bulletuav.tasks.parts.presets import UAVCONFLICT
+from bulletuav.tasks.parts.restarts import Restarts
 
 DENSE: dict[str, Any] = {"altitude_spread": 4.0, "start_speed": (0.0, 5.0)}
 """Options with which half of few drones encounter another drone"""
@@ -27,7 +28,10 @@ class FreeFlightConfig(FreeSpaceOptions, FlightConfig):
             the drone gets another goal, at least `leg` away, so that the traffic lasts until the
             horizon. Every goal counts for the term `goal`, and goals do not end episodes. A drone
             is successful after at least one goal without collision; infos report the number as
-            `goals`, and per hour of its flight as `goals_per_hour`.
+            `goals`, and per hour of its flight as `goals_per_hour`. Crashes, bounds and empty
+            batteries do not end episodes either: at the beginning of the next decision the drone is
+            placed at another start, drawn as the first, with another goal and a full battery. Its
+            action in that decision is the one chosen before. Infos count this as `restarts`.
     """
 
     altitude: float = 70.0
@@ -109,3 +113,6 @@ class FreeFlight(GoalFlight[FreeFlightConfig]):
         """
         super().__init__(config, context)
         self.starts = FreeSpace(self, self.field)
+        if self.respawns:
+            distances = (self.starts.apart, self.starts.obstacle_distance)
+            self.restarts = self.add(Restarts(self, *distances))

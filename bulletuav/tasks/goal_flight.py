@@ -1,7 +1,7 @@
 """Base class of flights of several drones to goals: options, rewards and ends."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, Generic, Literal, TypeVar
 
@@ -344,6 +344,10 @@ class GoalFlight(Task[FlightConfigT], Generic[FlightConfigT]):
         if "encounter" in memory:
             pairs = (memory["encounter"], memory["effort"])
             update_encounters(*pairs, frame.before, frame.after, frame.d_safe, frame.alive)
+        if self.restarts is not None:
+            ended = self._failed(frame, super().terminated)
+            self.restarts.mark(frame, ended)
+            memory["initial_distance"][ended] = 0.0
 
     def _respawn(self, frame: Frame, rngs: Rngs) -> None:
         """Draw new goals for drones that reached theirs.
@@ -409,26 +413,30 @@ class GoalFlight(Task[FlightConfigT], Generic[FlightConfigT]):
         Returns:
             (W, N) bool. Sets "finished", "reached", "terminated" and "ended" in `frame.derived`.
         """
-        config = self.config
         finished = self.finished(frame)
-        # Collisions and empty batteries always end an episode
-        crashed = affected_drones(frame.collision, frame, config.contact_ends)
-        ended: np.ndarray = crashed | frame.depleted
-        ended = ended | self.goals_end(frame, finished)
-        # Bounds and conflicts end it depending on the options
-        if config.boundary == "end":
-            ended = ended | self.outside(frame)
-        if config.conflict_ends != "nothing":
-            in_conflict = frame.conflict.separation < config.d_safe
-            ended = ended | affected_drones(in_conflict, frame, config.conflict_ends)
-        if self.ends:
-            ended = ended | super().terminated(frame)
+        ended = self.goals_end(frame, finished)
+        if self.restarts is None:
+            ended = ended | self._failed(frame, super().terminated)
         reached = frame.scene.memory["reached"]
         frame.derived["finished"] = finished
         frame.derived["reached"] = (reached > 0) & (reached == frame.time[:, None])
         frame.derived["terminated"] = ended
         frame.derived["ended"] = ended | frame.last[:, None]
         return ended
+
+    def _failed(self, frame: Frame, by_ends: Callable[[Frame], np.ndarray]) -> np.ndarray:
+        """Return which drones fail, (W, N) bool; `by_ends` evaluates the declared `ends`."""
+        config = self.config
+        # Collisions and empty batteries always end an episode
+        crashed = affected_drones(frame.collision, frame, config.contact_ends)
+        ended: np.ndarray = crashed | frame.depleted
+        # Bounds and conflicts end it depending on the options
+        if config.boundary == "end":
+            ended = ended | self.outside(frame)
+        if config.conflict_ends != "nothing":
+            in_conflict = frame.conflict.separation < config.d_safe
+            ended = ended | affected_drones(in_conflict, frame, config.conflict_ends)
+        return ended | by_ends(frame) if self.ends else ended
 
     def compute_terms(
         self, frame: Frame, terms: Mapping[str, np.ndarray]

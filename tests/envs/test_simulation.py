@@ -266,9 +266,9 @@ def test_a_stage_of_ones_own_takes_its_turn_in_an_airspace():
 def test_stages_that_cannot_be_are_refused():
     simulation = made("crossing").simulation
     stages = simulation.stages
-    with pytest.raises(ValueError, match="after is 'flight': one of admit, wind"):
+    with pytest.raises(ValueError, match="after is 'flight': one of admit, respawn, wind"):
         simulation.insert(Log(), after="flight")
-    with pytest.raises(ValueError, match="before is 'flight': one of admit, wind"):
+    with pytest.raises(ValueError, match="before is 'flight': one of admit, respawn, wind"):
         simulation.insert(Log(), before="flight")
     with pytest.raises(ValueError, match="after is None and before is None: exactly one of them"):
         simulation.insert(Log())

@@ -139,3 +139,183 @@ def test_absent_drones_get_no_goals():
     step = made.step(np.zeros((4, 4, 3)))
     np.testing.assert_array_equal(step.info["goals"], made.members)
     made.close()
+
+
+# Drones that crash, leave the arena or empty their batteries start again
+
+START = {"difficulty": "easy", "num_drones": 4, "at_goal": "respawn"}
+REST = np.zeros((2, 4, 3))
+
+
+def traffic(**options):
+    made = bulletuav.Aviary("free_flight", 2, **{"dynamics": "point_mass", **START, **options})
+    made.reset(seeds=0)
+    return made
+
+
+def crash(aviary):
+    """Let drones 0 and 1 of world 0 fly into each other."""
+    aviary.swarm.position[0, 1] = aviary.swarm.position[0, 0] + (2.0, 0, 0)
+    aviary.swarm.velocity[0, :2] = (15.0, 0, 0), (-15.0, 0, 0)
+    action = REST.copy()
+    action[0, :2] = (0.75, 0, 0), (-0.75, 0, 0)
+    return aviary.step(action)
+
+
+def test_drones_that_crash_start_again_in_the_next_decision():
+    made = traffic()
+    step = crash(made)
+    crashed = np.zeros((2, 4), dtype=bool)
+    crashed[0, :2] = True
+    np.testing.assert_array_equal(step.info["collision"], crashed)
+    np.testing.assert_array_equal(step.info["reward/collision"], -200.0 * crashed)
+    np.testing.assert_array_equal(step.info["restarts"], crashed)
+    # Not for the decisions that remain: their episode continues
+    np.testing.assert_array_equal(step.info["reward/time"], np.full((2, 4), -0.5))
+    assert not step.terminated.any()
+    assert made.alive.all()
+    here, goals = made.swarm.position.copy(), made.scene.goal.copy()
+    step = made.step(REST)
+    assert not step.info["collision"].any()
+    np.testing.assert_array_equal(step.info["restarts"], crashed)
+    np.testing.assert_array_equal((made.scene.goal != goals).any(axis=-1), crashed)
+    moved = np.linalg.norm(made.swarm.position - here, axis=-1)
+    assert (moved[~crashed] < 1).all()
+    starts = made.task.starts
+    for i in range(2):
+        start, goal = made.scene.start[0, i], made.scene.goal[0, i]
+        assert ((start >= starts.low) & (start <= starts.high)).all()
+        assert np.linalg.norm(goal - start) >= 25
+        # Up to 5 m/s at the start, of which 0.1 s are flown
+        assert np.linalg.norm(made.swarm.position[0, i] - start) < 0.5
+        away = np.linalg.norm(here[0, 2:] - start, axis=-1)
+        assert away.min() > starts.apart
+    # Progress is that of the flight from the new start
+    before = np.linalg.norm(made.scene.goal[0, 0] - made.scene.start[0, 0])
+    after = np.linalg.norm(made.scene.goal[0, 0] - made.swarm.position[0, 0])
+    np.testing.assert_allclose(step.info["reward/progress"][0, 0], 5 * (before - after))
+    # Safety is that of the episode
+    made.scene.goal[0, 0] = made.swarm.position[0, 0]
+    step = made.step(REST)
+    assert step.info["goals"][0, 0] == 1
+    assert not step.info["success"][0, 0]
+    made.close()
+
+
+def test_drones_outside_the_arena_start_again():
+    made = traffic()
+    made.swarm.position[1, 2] = made.task.arena_high + 1.0
+    step = made.step(REST)
+    assert step.info["reward/out_of_bounds"][1, 2] == -50
+    assert step.info["restarts"].sum() == 1
+    made.step(REST)
+    assert (made.swarm.position[1, 2] < made.task.arena_high).all()
+    assert made.alive.all()
+    made.close()
+
+
+def test_empty_batteries_are_full_again():
+    made = traffic(battery_capacity=10.0)
+    made.worlds.energy.readings()["charge"][0, 3] = 1e-9
+    step = made.step(REST)
+    assert step.info["charge"][0, 3] == 0
+    assert step.info["restarts"][0, 3] == 1
+    assert made.alive.all()
+    step = made.step(REST)
+    assert 0.99 < step.info["charge"][0, 3] < 1
+    made.close()
+
+
+@pytest.mark.parametrize("dynamics", ["bullet", "rigid_body", "single_integrator"])
+def test_flights_continue_from_snapshots_between_the_crash_and_the_start(dynamics):
+    made = traffic(dynamics=dynamics)
+    out = np.zeros((2, 4), dtype=bool)
+    out[1, 2] = True
+    made.swarm.position[out] = made.task.arena_high + 1.0
+    made.worlds.dynamics.place(made.swarm, out)
+    made.step(REST)
+    saved = made.save_state()
+    hashes = []
+    for _ in range(2):
+        made.load_state(saved)
+        for _ in range(3):
+            made.step(REST)
+        hashes.append(made.state_hash())
+    assert hashes[0] == hashes[1]
+    assert made.scene.memory["restarts"][1, 2] == 1
+    made.close()
+
+
+def test_starts_are_clear_of_bodies():
+    source = {"kind": "box", "size": (50.0, 24.0, 60.0)}
+    wall = {"source": source, "position": (0.0, 12.5, 70.0)}
+    made = traffic(bodies=[wall], num_obstacles=0, num_drones=1)
+    for _ in range(20):
+        made.swarm.position[:, 0] = made.task.arena_high + 1.0
+        made.step(REST[:, :1])
+        step = made.step(REST[:, :1])
+        assert not step.info["collision"].any()
+    assert (made.scene.start[:, 0, 1] < 0.5).all()
+    made.close()
+
+
+def test_drones_that_take_off_start_again_on_the_ground():
+    made = traffic(take_off=True, altitude=10.0, altitude_spread=4.0)
+    made.swarm.position[1, 2] = made.task.arena_high + 1.0
+    made.step(REST)
+    step = made.step(REST)
+    np.testing.assert_allclose(
+        made.scene.start[1, 2, 2], made.task.context.standing_height[2], rtol=1e-12
+    )
+    assert not step.info["collision"].any()
+    made.close()
+
+
+def test_drones_with_sensors_start_again():
+    made = traffic(difficulty="extreme", dynamics="rigid_body")
+    made.swarm.position[1, 2] = made.task.arena_high + 1.0
+    made.step(REST)
+    step = made.step(REST)
+    assert np.isfinite(step.observations).all()
+    known = made.worlds.frame.known_position[1, 2]
+    assert np.linalg.norm(known - made.swarm.position[1, 2]) < 20
+    made.close()
+
+
+@pytest.mark.parametrize("decisions", [1000, pytest.param(10_000, marks=pytest.mark.slow)])
+def test_random_traffic_never_empties_the_airspace(decisions):
+    made = traffic(horizon=decisions, dynamics="single_integrator", battery_capacity=0.01)
+    rng = np.random.default_rng(0)
+    for _ in range(decisions):
+        step = made.step(rng.uniform(-1, 1, (2, 4, 3)))
+        if made.steps[0] < decisions:
+            assert made.alive.all()
+    assert step.truncated.all()
+    assert (step.info["restarts"] > 10).all()
+    made.close()
+
+
+def test_absent_drones_do_not_start_again():
+    made = bulletuav.Aviary(
+        "free_flight", 4, **{**START, "num_drones": (1, 4)}, dynamics="single_integrator"
+    )
+    made.reset(seeds=0)
+    made.swarm.position[:] = made.task.arena_high + 1.0
+    step = made.step(np.zeros((4, 4, 3)))
+    np.testing.assert_array_equal(step.info["restarts"], made.members)
+    made.step(np.zeros((4, 4, 3)))
+    np.testing.assert_array_equal(made.alive, made.members)
+    made.close()
+
+
+def test_the_most_suitable_start_is_taken_where_none_is_clear():
+    made = traffic()
+    # Drones everywhere: the farthest corner of the box is the best
+    starts = made.task.starts
+    center = (starts.low + starts.high) / 2
+    taken = (np.tile(center, (3, 1)), np.zeros((0, 3)), np.zeros((0, 3)))
+    made.task.restarts._apart = 1000.0
+    drawn = made.task.restarts._draw(taken, np.random.default_rng(0))
+    reach = np.linalg.norm(starts.high - center)
+    assert np.linalg.norm(drawn["position"] - center) > 0.9 * reach
+    made.close()

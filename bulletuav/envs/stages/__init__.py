@@ -13,6 +13,7 @@ from bulletuav.envs.stages.move_scene import MoveScene
 from bulletuav.envs.stages.observe import Observe
 from bulletuav.envs.stages.remember import Remember
 from bulletuav.envs.stages.report import WriteInfos
+from bulletuav.envs.stages.respawn import Respawn
 from bulletuav.envs.stages.reward import Reward
 from bulletuav.envs.stages.sense import Sense
 from bulletuav.envs.stages.separate import Separate
@@ -26,6 +27,7 @@ def decision_stages(has_events: bool = False) -> tuple[Stage, ...]:
     """Return the stages of a decision; the option `events` adds one."""
     return (
         Admit(),
+        Respawn(),
         *((ApplyEvents(),) if has_events else ()),
         SampleWind(),
         KeepBefore(),

@@ -52,6 +52,7 @@ class FreeSpace(Starts):
         high: (3,) upper corner, m.
         apart: Minimum distance between starts, and between goals, m.
         leg: Minimum distance from a start, before its jitter, to its goal, m.
+        obstacle_distance: (K,) minimum distances of starts and goals from obstacles' centres, m.
     """
 
     def __init__(self, task: Task[Any], field: ObstacleField) -> None:
@@ -85,7 +86,8 @@ class FreeSpace(Starts):
         shift = np.sqrt(3) * config.jitter
         self.apart = 2 * clearance(config, context) + 2 * shift
         self.leg = float(config.leg + shift)
-        self._rules = PlacementRules(field.radius + self.apart / 2, float(self.apart), self.leg)
+        self.obstacle_distance = field.radius + self.apart / 2
+        self._rules = PlacementRules(self.obstacle_distance, float(self.apart), self.leg)
         self._check_room()
         field.bounds = (self.low, self.high)
         task.arena_low = self.low - config.margin
@@ -147,9 +149,7 @@ class FreeSpace(Starts):
             if (
                 np.linalg.norm(goal - place) >= self.leg
                 and (np.linalg.norm(goal - goals, axis=-1) > self.apart).all()
-                and (
-                    np.linalg.norm(goal - obstacles, axis=-1) > self._rules.obstacle_distance
-                ).all()
+                and (np.linalg.norm(goal - obstacles, axis=-1) > self.obstacle_distance).all()
             ):
                 break
         return goal
