@@ -63,7 +63,11 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     """Add arguments for common options of environments, and --set for all others."""
     # Drones and control
     parser.add_argument(
-        "--drones", type=int, dest="num_drones", metavar="N", help="number of drones"
+        "--drones",
+        type=_parse_drones,
+        dest="num_drones",
+        metavar="N",
+        help="number of drones; or 4,12, from which each episode draws its number",
     )
     parser.add_argument("--airframe", help=_airframes)
     parser.add_argument("--dynamics", help=_dynamics)
@@ -153,6 +157,14 @@ def add_sharing(parser: argparse.ArgumentParser) -> None:
         metavar="ADDRESS",
         help="run on a Ray cluster, such as auto or 10.0.0.1:6379 (extra ray); local starts one",
     )
+
+
+def _parse_drones(text: str) -> int | tuple[int, int]:
+    parts = text.split(",")
+    if not all(part.strip().isdecimal() for part in parts) or len(parts) > 2:
+        raise argparse.ArgumentTypeError(f"{text}: a number, or a range such as 4,12, is needed")
+    low, *high = (int(part) for part in parts)
+    return (low, high[0]) if high else low
 
 
 def _parse_piece(text: str) -> "WorkPiece":
