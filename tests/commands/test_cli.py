@@ -388,7 +388,7 @@ def test_help(arguments, capsys):
             "unknown argument --quick: environment options that are not listed",
         ),
         (["doctor", "--quick"], "unknown argument --quick: there is no such option"),
-        (["fly", "crossing", "--drones", "many"], "invalid int value: 'many'"),
+        (["fly", "crossing", "--drones", "many"], "many: a number, or a range such as 4,12"),
         (["fly", "crossing", "--drones", "0"], "num_drones is 0"),
         (["fly", "crossing", "--policy", "strait"], "did you mean 'straight'"),
         (["fly", "crossing", "--set", "lanespacing=3"], "did you mean 'lane_spacing'"),

@@ -246,19 +246,6 @@ def test_flights_continue_from_snapshots_between_the_crash_and_the_start(dynamic
     made.close()
 
 
-def test_starts_are_clear_of_bodies():
-    source = {"kind": "box", "size": (50.0, 24.0, 60.0)}
-    wall = {"source": source, "position": (0.0, 12.5, 70.0)}
-    made = traffic(bodies=[wall], num_obstacles=0, num_drones=1)
-    for _ in range(20):
-        made.swarm.position[:, 0] = made.task.arena_high + 1.0
-        made.step(REST[:, :1])
-        step = made.step(REST[:, :1])
-        assert not step.info["collision"].any()
-    assert (made.scene.start[:, 0, 1] < 0.5).all()
-    made.close()
-
-
 def test_drones_that_take_off_start_again_on_the_ground():
     made = traffic(take_off=True, altitude=10.0, altitude_spread=4.0)
     made.swarm.position[1, 2] = made.task.arena_high + 1.0

@@ -4,7 +4,6 @@ import numpy as np
 
 from bulletuav.compiled.program import Program
 from bulletuav.envs.stages.base import Stage
-from bulletuav.envs.world_bodies import MAX_TRIES
 from bulletuav.envs.worlds import Worlds
 from bulletuav.tasks.parts.restarts import Restarts
 
@@ -30,17 +29,7 @@ class Respawn(Stage):
             if not due.any():
                 return
             swarm = state.swarm
-            blocked = due
-            for _ in range(MAX_TRIES):
-                restarts.place(swarm, state.scene, blocked, state.flown, worlds.rng)
-                if not worlds.bodies.count:
-                    break
-                contacts = worlds.dynamics.overlaps(swarm, blocked, state.flown)
-                blocked = np.zeros_like(due)
-                blocked[contacts.world, contacts.drone] = True
-                blocked &= due
-                if not blocked.any():
-                    break
+            restarts.place(swarm, state.scene, due, state.flown, worlds.rng)
             speed = np.broadcast_to(worlds.hover_speed, swarm.rotor_speed.shape)
             swarm.rotor_speed[due] = 0.0 if worlds.task.takes_off else speed[due]
             worlds.cascade.memory[due] = 0.0

@@ -1,7 +1,7 @@
 """Further starts of drones whose episode would end, in traffic that lasts until the horizon."""
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -9,9 +9,6 @@ from bulletuav.tasks.frame import Frame, Scene
 from bulletuav.tasks.given import GivenPositions
 from bulletuav.tasks.parts.base import Part, Rngs
 from bulletuav.vehicle.swarm import Swarm
-
-if TYPE_CHECKING:
-    from bulletuav.tasks.base import Task
 
 MAX_START_DRAWS = 100
 """Maximum number of draws of a further start; usually the first one has a suitable drone"""
@@ -25,7 +22,7 @@ class Restarts(Part):
     whose start and goal are clear of the drones, goals and obstacles of the world.
     """
 
-    def __init__(self, task: "Task[Any]", apart: float, obstacle_distance: np.ndarray) -> None:
+    def __init__(self, task: Any, apart: float, obstacle_distance: np.ndarray) -> None:
         """Set the distances that starts and goals keep.
 
         Args:
