@@ -312,10 +312,9 @@ def _read_plan(path: Path, plan: Any, home: Position3 | None) -> Mission:
     speed = mission.get("hoverSpeed")
     fence = _read_fence(plan.get("geoFence"), collected.notes)
     rally = plan.get("rallyPoints")
-    if isinstance(rally, dict) and rally.get("points"):
-        collected.notes.append(
-            f"{len(rally['points'])} rally points are not used: a return flies home"
-        )
+    points = _list(rally, "points", "rallyPoints") if isinstance(rally, dict) else []
+    if points:
+        collected.notes.append(f"{len(points)} rally points are not used: a return flies home")
     return collected.finish(
         path, home, fence, None if speed is None else finite("hoverSpeed", speed, 0.1, 100)
     )

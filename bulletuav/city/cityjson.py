@@ -13,7 +13,7 @@ import numpy as np
 from bulletuav.city.assembly import MIN_HEIGHT
 from bulletuav.city.building_tags import MAX_NAME
 from bulletuav.city.import_report import Notebook
-from bulletuav.city.reference_systems import DEGREES, find_code
+from bulletuav.city.reference_systems import find_code, read_units
 from bulletuav.city.tags import HeightReader
 from bulletuav.errors import numbers_of, shown
 from bulletuav.geometry.polygons import SLIVER, area_of, convex_pieces, extruded, import_shapely
@@ -119,11 +119,8 @@ def _vertices(path: Path, content: Mapping[str, Any]) -> np.ndarray:
         )
     metadata = content.get("metadata")
     system = metadata.get("referenceSystem") if isinstance(metadata, dict) else None
-    if find_code(system) in DEGREES:
-        raise ValueError(
-            f"{path} has its coordinates in degrees ({shown(system)}): metres are needed; convert "
-            f"it, as by `cjio in.json crs_reproject 25832 save out.json`"
-        )
+    code = find_code(system)
+    units = np.ones(3) if code is None else read_units(code, path)
     vertices = numbers_of(f"vertices of {path} are", content.get("vertices"))
     if not vertices.size:
         vertices = vertices.reshape(0, 3)
@@ -136,7 +133,7 @@ def _vertices(path: Path, content: Mapping[str, Any]) -> np.ndarray:
         raise ValueError(f"{path} has no vertices of three numbers, or no transform for them")
     if not all(np.isfinite(one).all() for one in (vertices, scale, shift)):
         raise ValueError(f"{path} has vertices or a transform that are not finite")
-    points: np.ndarray = vertices * scale + shift
+    points: np.ndarray = (vertices * scale + shift) * units
     return points
 
 
@@ -147,6 +144,7 @@ def _parts(
     objects = content.get("CityObjects")
     if not isinstance(objects, dict):
         raise ValueError(f"{notes.path} has {shown(objects)} as CityObjects: objects are needed")
+    known_buildings: dict[str, str] = {}
     for name, one in objects.items():
         where = name[:MAX_NAME]
         kind = one.get("type") if isinstance(one, dict) else None
@@ -161,21 +159,32 @@ def _parts(
             continue
         if surfaces:
             known = attributes if isinstance(attributes, dict) else {}
-            yield BuildingPart(where, _building_of(name, objects), known, surfaces)
+            yield BuildingPart(where, _building_of(name, objects, known_buildings), known, surfaces)
         elif not one.get("children"):
             notes.add("skipped", where, f"it has no geometry of {', '.join(SURFACES)}")
 
 
-def _building_of(name: str, objects: Mapping[str, Any]) -> str:
-    """Return the name of the outermost parent of an object."""
-    seen = [name]
-    while True:
-        one = objects.get(seen[-1])
+def _building_of(name: str, objects: Mapping[str, Any], found: dict[str, str]) -> str:
+    """Return the name of the outermost parent of an object; `found` has those of others.
+
+    Objects whose parents form a circle are buildings of their own.
+    """
+    seen = dict.fromkeys([name])  # in order
+    last, is_circle = name, False
+    while last not in found:
+        one = objects.get(last)
         parents = one.get("parents") if isinstance(one, dict) else None
         parent = parents[0] if isinstance(parents, list) and parents else None
-        if not isinstance(parent, str) or parent not in objects or parent in seen:
-            return seen[-1]
-        seen.append(parent)
+        if not isinstance(parent, str) or parent not in objects:
+            break
+        if parent in seen:
+            is_circle = True
+            break
+        seen[parent] = None
+        last = parent
+    outermost = found.get(last, last)
+    found.update({one: one if is_circle else outermost for one in seen})
+    return found[name]
 
 
 def _surfaces(geometries: Any, vertices: np.ndarray) -> list[Rings]:

@@ -16,6 +16,8 @@ from bulletuav.geometry.polygons import import_shapely
 
 INNER = "inner"
 OUTPUT = "query the data with `out geom;`"
+MAX_CORNERS = 2_000_000
+"""Number of corners of all members of relations from which no further member is read"""
 
 
 class Feature(NamedTuple):
@@ -34,6 +36,16 @@ class Feature(NamedTuple):
     problem: str = ""
 
 
+class _Elements(dict[tuple[str, str], Any]):
+    """Elements by type and identifier.
+
+    Attributes:
+        num_corners: Number of corners of all members of relations that were read.
+    """
+
+    num_corners = 0
+
+
 def read_elements(elements: list[Any]) -> Iterator[Feature]:
     """Yield the features of Overpass JSON: tagged nodes, ways and relations, and untagged ways.
 
@@ -44,7 +56,7 @@ def read_elements(elements: list[Any]) -> Iterator[Feature]:
         elements: The list `elements` of the file.
     """
     known = [one for one in elements if isinstance(one, dict)]
-    by_id = {(str(one.get("type")), str(one.get("id"))): one for one in known}
+    by_id = _Elements(((str(one.get("type")), str(one.get("id"))), one) for one in known)
     members = {
         ("way", str(member.get("ref")))
         for one in known
@@ -68,9 +80,7 @@ def read_elements(elements: list[Any]) -> Iterator[Feature]:
             yield Feature(where, tags, geometry)
 
 
-def _geometry(
-    element: Mapping[str, Any], kind: str, by_id: Mapping[tuple[str, str], Any]
-) -> dict[str, Any] | None:
+def _geometry(element: Mapping[str, Any], kind: str, by_id: _Elements) -> dict[str, Any] | None:
     """Return the geometry of an element. Raises ValueError if it is incomplete."""
     if kind == "node":
         return {"type": "Point", "coordinates": _place(element)}
@@ -116,19 +126,30 @@ def _members(element: Mapping[str, Any]) -> list[dict[str, Any]]:
     return [one for one in found if one.get("type") == "way"]
 
 
-def _multipolygon(
-    element: Mapping[str, Any], by_id: Mapping[tuple[str, str], Any]
-) -> dict[str, Any]:
+def _multipolygon(element: Mapping[str, Any], by_id: _Elements) -> dict[str, Any]:
     """Join the member ways of a relation to rings, and cut the inner ones out."""
     shapely = import_shapely("reading Overpass JSON")
     lines: dict[bool, list[Any]] = {False: [], True: []}
+    listed = set()
     for member in _members(element):
         # `out geom` has the geometry in the member, `out body` in an element of its own
         has_own = isinstance(member.get("geometry"), list)
         way = member if has_own else by_id.get(("way", str(member.get("ref"))))
         if way is None:
             raise ValueError(f"its way {shown(member.get('ref'))} is not in the file: {OUTPUT}")
+        # A short file can name a long way many times
+        if not has_own and str(member.get("ref")) in listed:
+            raise ValueError(
+                f"its way {shown(member.get('ref'))} is listed twice: delete one of the two members"
+            )
+        listed.add(str(member.get("ref")))
+        if by_id.num_corners > MAX_CORNERS:
+            raise ValueError(
+                f"its ways and those of relations before it have more than {MAX_CORNERS} corners: "
+                f"query a smaller area"
+            )
         line = _line(way, by_id)
+        by_id.num_corners += len(line)
         if len(line) < 2:
             raise ValueError(f"its way {shown(member.get('ref'))} has {len(line)} corners")
         lines[member.get("role") == INNER].append(shapely.LineString(line))

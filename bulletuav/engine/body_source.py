@@ -50,9 +50,14 @@ def pieces_of(source: BodySource) -> list[BodyPiece]:
         pieces = _of_urdf(require_file("body", source, REMEDY))
     else:
         raise ValueError(f"body is {shown(str(source))}: {REMEDY}")
-    if len(pieces) > MOST_PIECES:
-        raise ValueError(f"the body has {len(pieces)} pieces: at most {MOST_PIECES} are possible")
+    _require_few(len(pieces))
     return pieces
+
+
+def _require_few(count: int) -> None:
+    """Raise ValueError for a body of too many pieces."""
+    if count > MOST_PIECES:
+        raise ValueError(f"the body has {count} pieces: at most {MOST_PIECES} are possible")
 
 
 def _hulls_of_mesh(path: Path, scale: Sequence[float] = (1.0, 1.0, 1.0)) -> list[Shape]:
@@ -63,10 +68,12 @@ def _hulls_of_mesh(path: Path, scale: Sequence[float] = (1.0, 1.0, 1.0)) -> list
         scale: Factors of x, y and z.
     """
     points, objects = read_obj_faces(path)
+    _require_few(len(objects))
+    points = points * scale
     hulls = []
     for k, faces in enumerate(objects):
         where = f"{path}: object {k}"
-        pieces = split_body(points * scale, faces, where)
+        pieces = split_body(points, faces, where)
         hulls += [hull_from_points(where, piece) for piece in pieces]
     return hulls
 

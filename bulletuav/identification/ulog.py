@@ -34,6 +34,8 @@ MAGIC = b"ULog\x01\x12\x35"
 HEADER_SIZE = 16
 MAX_FIELDS, MAX_NESTING, MAX_MESSAGE_SIZE = 4096, 8, 65535
 """Maximum number of fields of a format, of nested formats, and size of a message, bytes"""
+MAX_EXPANDED = 4 * MAX_MESSAGE_SIZE
+"""Maximum number of fields of all formats of a file, with those of nested formats"""
 APPENDED = 1
 """Incompatible flag of logs with appended data, the only one of the format"""
 TYPES = {
@@ -109,6 +111,8 @@ class _Reader:
         self._formats: dict[str, list[tuple[str, int, str]]] = {}
         self._topics: dict[int, str] = {}
         self._kinds: dict[int, str] = {}
+        self._layouts: dict[str, tuple[list[UlogField], int]] = {}
+        self._num_expanded = 0
         self._places: dict[int, list[tuple[int, int]]] = {}
         if len(data) < HEADER_SIZE or not data.startswith(MAGIC):
             raise ValueError("its header is incomplete")
@@ -162,7 +166,7 @@ class _Reader:
             if not field or not 0 <= number <= MAX_MESSAGE_SIZE:
                 raise ValueError(f"the format of {name} has the field {part!r}")
             fields.append((kind, number, field))
-        if len(fields) > MAX_FIELDS:
+        if not 0 < len(fields) <= MAX_FIELDS:
             raise ValueError(f"the format of {name} has {len(fields)} fields")
         self._formats[name] = fields
 
@@ -175,13 +179,15 @@ class _Reader:
 
     def _layout(self, kind: str) -> tuple[list[UlogField], int]:
         """Return the numbers of a format, and the size of a message, bytes."""
-        fields, size, num_expanded = list[UlogField](), 0, 0
+        if kind in self._layouts:
+            return self._layouts[kind]
+        fields, size = list[UlogField](), 0
         waiting = [(0, kind, "")]
         # Nested formats are expanded in order, with a stack instead of recursion
         while waiting:
             depth, one, prefix = waiting.pop()
-            num_expanded += 1
-            is_large = size > MAX_MESSAGE_SIZE or num_expanded > 2 * MAX_MESSAGE_SIZE
+            self._num_expanded += 1
+            is_large = size > MAX_MESSAGE_SIZE or self._num_expanded > MAX_EXPANDED
             if depth > MAX_NESTING or is_large:
                 raise ValueError(f"the format of {kind} is too large")
             if one in TYPES:
@@ -209,7 +215,8 @@ class _Reader:
         # Trailing padding is not logged
         while fields and not fields[-1].name:
             size = fields.pop().offset
-        return [field for field in fields if field.name], size
+        self._layouts[kind] = [field for field in fields if field.name], size
+        return self._layouts[kind]
 
     def series(self) -> Iterator[Series]:
         """Yield the columns of each topic that has messages."""

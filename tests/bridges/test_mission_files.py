@@ -323,3 +323,9 @@ def test_places_that_a_waypoint_lacks_are_named(save, column, name):
     item["params"][column] = None
     with pytest.raises(ValueError, match=f"item 1: its {name} is missing"):
         read_mission(save(plan(TAKE_OFF, item)))
+
+
+def test_rally_points_that_are_no_list(save):
+    content = plan(TAKE_OFF, waypoint(10, 20, 5)) | {"rallyPoints": {"points": 5}}
+    with pytest.raises(ValueError, match="points of rallyPoints is 5: a list is needed"):
+        read_mission(save(content))

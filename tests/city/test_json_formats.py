@@ -7,6 +7,7 @@ import warnings
 import numpy as np
 import pytest
 
+from bulletuav.city import overpass as overpass_module
 from bulletuav.city.import_report import MendedWarning
 from bulletuav.city.imports import READERS, from_geojson
 
@@ -331,6 +332,10 @@ GOOD = building([SURFACES])
             {"metadata": {"referenceSystem": "https://www.opengis.net/def/crs/EPSG/0/4979"}},
             "in degrees .*: metres are needed; convert it",
         ),
+        (
+            {"metadata": {"referenceSystem": "urn:ogc:def:crs,crs:EPSG::4326,crs:EPSG::5773"}},
+            "in degrees .EPSG:4326.",
+        ),
     ],
 )
 def test_files_that_are_no_cityjson(tmp_path, change, message):
@@ -388,3 +393,41 @@ def test_other_formats_name_their_converter(tmp_path, name, message):
     path = write(tmp_path, "", name)
     with pytest.raises(ValueError, match=message):
         READERS[path.suffix](path)
+
+
+def test_cityjson_in_feet(tmp_path):
+    vertices, surfaces = solid((0, 0), (100, 100), eaves=100)
+    feet = {"metadata": {"referenceSystem": "https://www.opengis.net/def/crs/EPSG/0/2263"}}
+    city = read(write(tmp_path, cityjson({"h": building([surfaces])}, vertices, **feet)))
+    # The US survey foot is 1200 / 3937 m
+    assert city.heights == pytest.approx([100 * 1200 / 3937])
+
+
+def test_long_chains_of_parents_are_read_in_linear_time(tmp_path):
+    vertices, surfaces = solid((0, 0), (20, 10), eaves=6)
+    objects = {"top": building([surfaces])}
+    # Twenty thousand took days
+    for k in range(20_000):
+        parent = f"p{k - 1}" if k else "top"
+        objects[f"p{k}"] = {"type": "BuildingPart", "parents": [parent], "geometry": []}
+    objects["last"] = {**building([surfaces]), "type": "BuildingPart", "parents": ["p19999"]}
+    city = read(write(tmp_path, cityjson(objects, vertices)))
+    assert city.heights.max() == pytest.approx(6)
+
+
+def test_corners_of_all_relations_are_limited(tmp_path, monkeypatch):
+    """Each relation has the 5 corners of the same way."""
+    monkeypatch.setattr(overpass_module, "MAX_CORNERS", 10)
+    relations = [relation(k, {10: "outer"}, type="multipolygon", **YES) for k in range(20, 25)]
+    path = write(tmp_path, overpass(*NODES, way(10, 1, 2, 3, 4, 1), *relations))
+    assert read(path).report.counts["skipped"] == 2
+    with pytest.raises(ValueError, match="more than 10 corners: .* a smaller area"):
+        read(path, strict=True)
+
+
+def test_a_relation_names_a_way_once(tmp_path):
+    twice = {"members": [{"type": "way", "ref": 10, "role": "outer"}] * 2}
+    element = {**relation(7, {}, type="multipolygon", **YES), **twice}
+    path = write(tmp_path, overpass(*NODES, way(10, 1, 2, 3, 4, 1), element))
+    with pytest.raises(ValueError, match="way 10 is listed twice"):
+        read(path, strict=True)

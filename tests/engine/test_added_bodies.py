@@ -379,3 +379,11 @@ def test_a_mesh_that_crashes_the_native_code_is_one_error(make_bench, tmp_path):
     engine = make_bench("point_mass").engine
     with pytest.raises(ValueError, match=r"open_box.obj: object 0: CoACD.*intersect.*repair"):
         engine.add_body(tmp_path / "open_box.obj", (0, 0, 10))
+
+
+def test_a_mesh_of_too_many_objects_is_not_split(make_bench, tmp_path, monkeypatch):
+    monkeypatch.setattr("bulletuav.engine.body_source.split_body", lambda *_: pytest.fail("split"))
+    text = "v 0 0 0\nv 1 0 0\nv 0 1 0\n" + "".join(f"o {k}\nf 1 2 3\n" for k in range(1025))
+    (tmp_path / "many.obj").write_text(text)
+    with pytest.raises(ValueError, match="the body has 1025 pieces: at most 1024"):
+        make_bench("point_mass").engine.add_body(tmp_path / "many.obj", (0, 0, 10))

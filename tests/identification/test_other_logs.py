@@ -326,9 +326,16 @@ def damage():
     bomb = Ulog()
     for k in range(7):
         bomb.add("F", f"n{k}:n{k + 1}[4096] x;".encode())
-    bomb.add("F", b"n7:")
+    bomb.add("F", b"n7:uint8_t x;")
     bomb.topic(0, "a", [CLOCK, ("n0", "x")])
     bomb.write(0, "Q", 0)
+    empty = Ulog()
+    empty.add("F", b"e:")
+    many = Ulog()
+    # 40 formats of 8,000 fields each are within the limits, but not all of them together
+    for k in range(40):
+        many.topic(k, f"a{k}", [CLOCK, *[("uint8_t[4000]", f"x{i}") for i in range(2)]])
+        many.write(k, "Q8000s", 0, b"")
     loop = Ulog()
     loop.topic(0, "a", [CLOCK, ("a", "x")])
     loop.write(0, "Q", 0)
@@ -353,6 +360,8 @@ def damage():
         "ulog offsets": (Ulog(b"\1" + bytes(7), (9**9, 0, 0)).data, "outside of the file"),
         "ulog cut": (plain[:-3], "lacks the columns"),
         "ulog bomb": (bomb.data, "is too large"),
+        "ulog empty": (empty.data, "the format of e has 0 fields"),
+        "ulog many": (many.data, "the format of a32 is too large"),
         "ulog loop": (loop.data, "is too large"),
         "ulog huge": (huge.data, "has the field 'float[4000000000] x'"),
         "ulog wide": (wide.data, "is too large"),
@@ -390,6 +399,17 @@ def test_damaged_logs_give_one_error(name, tmp_path):
         read_flight_log(path, {}, DRONE)
     assert str(path) in str(caught.value)
     assert message in str(caught.value)
+
+
+def test_topics_of_one_format_expand_it_once(tmp_path):
+    log = Ulog()
+    log.topic(0, "a", [CLOCK, ("uint8_t[4000]", "x")])
+    for k in range(100):
+        if k:
+            log.subscribe(k, "a", k)
+        log.write(k, "Q4000s", 0, b"")
+    with pytest.raises(ValueError, match="lacks the columns"):
+        read_flight_log(save(tmp_path, log.data), {}, DRONE)
 
 
 @pytest.mark.parametrize("name", ["log.ulg", "log00", "one.bag"])

@@ -209,6 +209,11 @@ def test_frames_keep_clear_of_starting_blocks():
             {"gates": [{**OUT, "name": "a"}, {**BACK, "name": "a"}], "order": [0, 1]},
             "gate 1 .* has the name 'a'",
         ),
+        (
+            "t.json",
+            {"gates": [{**OUT, "name": 7}, BACK], "order": [0, 1]},
+            "gate 0 .* has the name 7: one text",
+        ),
         ("t.yaml", "gates: &a [*a]", "is not valid YAML"),
         ("t.yaml", "[" * 9999, "is not valid YAML"),
         ("t.csv", "0,0,3\n1,2,3\n", "has a column '0': a header"),

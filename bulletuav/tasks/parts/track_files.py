@@ -148,13 +148,15 @@ def _in_order(path: Path, tables: list[Any], gates: list[Gate], order: object) -
     label = f"order of track {path}"
     names: dict[str, int] = {}
     for k, table in enumerate(tables):
-        name = table.get("name", k)
-        if not isinstance(name, str | int) or name in names:
+        if "name" not in table:
+            continue
+        name = table["name"]
+        if not isinstance(name, str) or name in names:
             raise ValueError(
                 f"gate {k} of track {path} has the name {shown(name)}: one text that "
                 f"no other gate has is needed"
             )
-        names[str(name)] = k
+        names[name] = k
     passages, used = [], set()
     for entry in as_sequence(label, order, most=MAX_PASSAGES):
         known = entry if isinstance(entry, dict) else {"gate": entry}
