@@ -160,3 +160,22 @@ def test_what_cannot_be_is_refused(folder, tmp_path, monkeypatch, capsys):
     with pytest.raises(SystemExit):
         main([*CALL, "--out", str(tmp_path / "more")])
     assert "needs the extra 'dataset'" in capsys.readouterr().err
+
+
+def test_absent_drones_have_no_transitions(tmp_path):
+    options = {**OPTIONS, "num_drones": (1, 3)}
+    collect("crossing", "straight", episodes=6, out=tmp_path, **options)
+    aviary = bulletuav.Aviary("crossing", **options)
+    present = set()
+    for episode in range(6):
+        aviary.reset(seeds=episode)
+        present |= {(episode, drone) for drone in np.flatnonzero(aviary.members[0]).tolist()}
+    assert 6 < len(present) < 18
+    found = set()
+    for path in (tmp_path / "parquet").iterdir():
+        rows = pq.read_table(path)
+        found |= set(zip(rows["episode"].to_pylist(), rows["drone"].to_pylist(), strict=True))
+    assert found == present
+    # The same call continues, although JSON has no tuples
+    collect("crossing", "straight", episodes=6, out=tmp_path, **options)
+    aviary.close()

@@ -805,3 +805,20 @@ def test_a_closed_stream_costs_nothing_of_the_others(words, closed, tmp_path):
     assert ("crossing" in run.stdout) == (1 not in closed and "nosuch" not in words)
     assert ("unknown task" in run.stderr) == (2 not in closed and "nosuch" in words)
     assert "Traceback" not in run.stderr
+
+
+def test_the_number_of_drones_is_a_range(tmp_path, capsys):
+    words = ["crossing", "--dynamics", "point_mass", "--horizon", "5"]
+    main(["evaluate", *words, "--drones", "2,5", "--episodes", "2", "--out", str(tmp_path)])
+    options = json.loads((tmp_path / "summary.json").read_text())["options"]
+    assert (options["min_drones"], options["num_drones"]) == (2, 5)
+    # The same call continues
+    main(["evaluate", *words, "--drones", "2,5", "--episodes", "2", "--out", str(tmp_path)])
+    capsys.readouterr()
+    for wrong in ("2-5", "2,5,6", "2,", "two", "-2"):
+        with pytest.raises(SystemExit):
+            main(["fly", *words, "--drones", wrong])
+        assert f"{wrong}: a number, or a range such as 4,12, is needed" in capsys.readouterr().err
+    with pytest.raises(SystemExit):
+        main(["fly", *words, "--drones", "5,2"])
+    assert "from low to high is needed" in capsys.readouterr().err

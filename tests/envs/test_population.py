@@ -214,6 +214,29 @@ def test_groups_of_torchrl_have_a_mask_of_the_drones():
     env.close()
 
 
+def test_stages_of_a_curriculum_have_ranges_of_their_own():
+    stages = [{"num_drones": (2, 4)}, {"num_drones": (5, 6)}]
+    options = {**SOME, "horizon": 3, "up": 0.5, "down": 0.0, "window": 1}
+    del options["num_drones"]
+    env = bulletuav.curriculum_env("free_flight", stages, **options)
+    assert len(env.possible_agents) == 6
+    for stage, (fewest, most) in enumerate([(2, 4), (5, 6)]):
+        env.curriculum.stage = stage
+        found = set()
+        for seed in range(20):
+            observations, _ = env.reset(seed=seed)
+            assert list(observations) == env.agents
+            found.add(len(env.agents))
+        assert found == set(range(fewest, most + 1))
+    # Only drones of the episode count: all that there are have reached their goals
+    aviary = env._current.aviary
+    aviary.scene.goal[:] = aviary.swarm.position
+    env.step({agent: np.zeros(3, dtype=np.float32) for agent in env.agents})
+    env.reset(seed=1)
+    assert env.curriculum.success_rate == 1.0
+    env.close()
+
+
 def test_what_ranges_and_tasks_are_possible():
     for given, message in (
         ((6, 2), "from low to high"),
