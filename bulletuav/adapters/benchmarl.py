@@ -152,9 +152,9 @@ class DroneTaskClass(TaskClass):  # type: ignore[misc]  # has no types
         """Return the spec of the actions."""
         return env.full_action_spec_unbatched
 
-    def action_mask_spec(self, env: Any) -> None:
-        """Return None: all actions are always available."""
-        return
+    def action_mask_spec(self, env: Any) -> Any:
+        """Return the spec of the masks of actions, or None without the option `action_masks`."""
+        return self._select_specs(env, "action_mask") if self.config.get("action_masks") else None
 
     def _select_specs(self, env: Any, name: str) -> Any:
         """Select one entry of each group from the observation spec."""

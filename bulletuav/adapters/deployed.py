@@ -105,6 +105,11 @@ def deployed(folder: Path, trust: bool = False) -> Deployed:
             f"{folder} observes images or has custom PyTorch layers, which cannot be exported: "
             f"train on vectors, with policy_kwargs of net_arch alone"
         )
+    if config.action_masks:
+        raise ValueError(
+            f"{folder} was trained with action_masks, which are computed from the state and are no "
+            f"part of its network: train without action_masks to export it"
+        )
     weights = read_weights(folder / POLICY)
     network = Network(weights, config.algo, config.settings, spec.observer.labels)
     action, observer = spec.action, spec.observer

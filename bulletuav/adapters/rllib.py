@@ -204,8 +204,13 @@ def take_task(options: dict[str, Any]) -> TaskSource:
     """Remove the task from an `env_config`, and return it.
 
     Raises:
-        ValueError: If there is no task, or there is a seed.
+        ValueError: If there is no task, or there is a seed or action_masks.
     """
+    if options.get("action_masks"):
+        raise ValueError(
+            "env_config has action_masks, which RLlib's infos do not pass on: leave it out, or "
+            "train with `bulletuav train`"
+        )
     if "seed" in options:
         raise ValueError(
             "env_config has a seed, which all copies of the environment would share: use "

@@ -13,6 +13,7 @@ world there are no such slots, and the buffers of stable-baselines3 itself can b
 """
 
 import contextlib
+import importlib
 import random
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
@@ -59,10 +60,22 @@ __all__ = [
 
 Info = dict[str, Any]
 """Info of one slot in a step"""
+MASKS = "bulletuav.adapters.sb3_masks"
+"""Module of MaskablePPO and its buffer; imported lazily, as it needs the extra `contrib`"""
 
 
-def algorithm(name: str) -> Any:
-    """Return the class of an algorithm by its name in lower case."""
+def algorithm(name: str, masked: bool = False) -> Any:
+    """Return the class of an algorithm.
+
+    Args:
+        name: Its name in lower case.
+        masked: If True, MaskablePPO of sb3-contrib, which learns with masks of actions.
+
+    Raises:
+        ImportError: If the extra `contrib`, which MaskablePPO needs, is not installed.
+    """
+    if masked:
+        return importlib.import_module(MASKS).MaskablePPO
     return getattr(stable_baselines3, name.upper())
 
 

@@ -10,9 +10,13 @@ from bulletuav.adapters.sb3_buffers import LivingRollouts
 from bulletuav.errors import missing_extra
 
 try:
+    from sb3_contrib import MaskablePPO
     from sb3_contrib.common.maskable.buffers import MaskableRolloutBuffer
 except ImportError:
     raise missing_extra("learning with masks of actions", "contrib") from None
+
+
+__all__ = ["LivingMaskableRollouts", "MaskablePPO"]
 
 
 class LivingMaskableRollouts(LivingRollouts, MaskableRolloutBuffer):  # type: ignore[misc]

@@ -84,7 +84,8 @@ def policy_network(
     num_drones: int,
     labels: Sequence[Label],
     weights: Mapping[str, np.ndarray],
-) -> Callable[[Any], np.ndarray]:
+    masked: bool = False,
+) -> Callable[..., np.ndarray]:
     """Build the policy network of a run and load its weights, without unpickling.
 
     Args:
@@ -95,9 +96,11 @@ def policy_network(
         num_drones: Number of drones of a world.
         labels: Labels of the numbers of an observation.
         weights: Arrays of the `state_dict` of the policy by name, and the bounds of the actions.
+        masked: Whether the policy is one of MaskablePPO.
 
     Returns:
-        A function from observations (M, D) to deterministic actions (M, A).
+        A function from observations (M, D), and masks (M, C) if masked, to deterministic actions
+        (M, A).
 
     Raises:
         ValueError: If the weights do not match the network.
@@ -110,11 +113,12 @@ def policy_network(
         given = Box(weights[LOW], weights[HIGH], dtype=np.float32)
     # Create the network as in training
     arguments = policy_arguments(model, num_drones, labels, pictures)
-    if name in ("ppo", "a2c", "sac"):
+    if name in ("ppo", "a2c", "sac") and not masked:
         arguments["use_sde"] = model.get("use_sde", False)
     with preserve_random_state():
-        kind = algorithm(name).policy_aliases["MultiInputPolicy" if pictures else "MlpPolicy"]
-        policy = kind(observed, given, lambda _: 0.0, **arguments)
+        kind = algorithm(name, masked)
+        named = kind.policy_aliases["MultiInputPolicy" if pictures else "MlpPolicy"]
+        policy = named(observed, given, lambda _: 0.0, **arguments)
     # Load its weights
     state = {
         known: torch.as_tensor(array)
@@ -126,6 +130,8 @@ def policy_network(
     except RuntimeError as error:
         raise ValueError(str(error)) from None
     policy.set_training_mode(False)
+    if masked:
+        return lambda rows, valid: policy.predict(rows, deterministic=True, action_masks=valid)[0]
     return lambda rows: policy.predict(rows, deterministic=True)[0]
 
 

@@ -95,8 +95,9 @@ def run_config(arguments: argparse.Namespace, base: RunConfig) -> RunConfig:
         for name in RUN_ARGUMENTS
         if getattr(arguments, name) is not None
     }
-    # Evaluations use options of `INTERFACE` and `SCENE` automatically, and the benchmark's reward
-    inherited = (*INTERFACE, *SCENE, "reward")
+    # Evaluations use options of `INTERFACE` and `SCENE` automatically, and the benchmark's reward;
+    # policies apply masks themselves
+    inherited = (*INTERFACE, *SCENE, "reward", "action_masks")
     held = {name: value for name, value in given.items() if name not in inherited}
     kept = {name: value for name, value in base.evaluation.items() if name not in given}
     changes["evaluation"] = {**kept, **held}

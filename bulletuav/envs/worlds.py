@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from bulletuav.control.actions import Action
 from bulletuav.envs.action_masks import ActionMasks, response_of
 from bulletuav.envs.conditions import Schedule
 from bulletuav.envs.contact_record import ContactRecord
@@ -69,7 +70,7 @@ class Worlds(Parts):
         self.dynamics.look_around()
         self._make_state(len(obstacles))
         self.members = np.ones((self.num_worlds, options.num_drones), dtype=bool)
-        self.masks = self._make_masks() if options.action_masks else None
+        self.masks = self.make_masks(self.action) if options.action_masks else None
 
     def _make_state(self, num_obstacles: int) -> None:
         """Allocate all arrays, and create the frame."""
@@ -99,19 +100,24 @@ class Worlds(Parts):
         )
         self.vector = self.observer.make_vector(shape)
 
-    def _make_masks(self) -> ActionMasks:
+    def make_masks(self, action: Action) -> ActionMasks:
+        """Return what computes the masks of a discrete action in these worlds."""
         options = self.options
         radius = np.array([airframe.collision_radius for airframe in options.airframe])
         drive = (self.dynamics.consumes, options.dynamics_name, options.gravity)
         response = response_of(self.cascade.gains[0], *drive)
-        return ActionMasks(self.action, self.task, radius, response, 1 / options.decision_hz)
+        return ActionMasks(action, self.task, radius, response, 1 / options.decision_hz)
 
     def action_masks(self) -> np.ndarray:
         """Compute the masks of discrete actions, (W, N, C) int8; needs the option."""
         assert self.masks is not None, "checked by Aviary"
+        return self.compute_masks(self.masks)
+
+    def compute_masks(self, masks: ActionMasks) -> np.ndarray:
+        """Compute the masks of a discrete action for the present state, (W, N, C) int8."""
         state = self.state
         present = state.alive | state.truncated
-        return self.masks.compute(state.swarm.position, state.swarm.velocity, present)
+        return masks.compute(state.swarm.position, state.swarm.velocity, present)
 
     @property
     def collects_contacts(self) -> bool:

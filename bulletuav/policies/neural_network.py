@@ -209,11 +209,12 @@ class Network:
         own = (expected, len(self._layers[-1][1]), self._bounds is None)
         return (observed, given, choices) == own
 
-    def __call__(self, rows: np.ndarray) -> np.ndarray:
+    def __call__(self, rows: np.ndarray, valid: np.ndarray | None = None) -> np.ndarray:
         """Compute actions.
 
         Args:
             rows: (M, D) observations.
+            valid: (M, C) bool, choices that are possible; None for all.
 
         Returns:
             (M, A) actions within the bounds, or (M, 1) discrete choices.
@@ -228,6 +229,8 @@ class Network:
         for k, (weight, bias) in enumerate(self._layers):
             values = dense(self._actor.activation(values) if k else values, weight, bias)
         if self._bounds is None:
+            if valid is not None:
+                values = np.where(valid, values, -np.inf)
             best: np.ndarray = values.argmax(axis=1)
             return best[:, None]
         low, high = self._bounds

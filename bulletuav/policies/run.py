@@ -35,6 +35,8 @@ CHECKPOINTS = "checkpoints"
 """Name of the checkpoint folder of a run"""
 ALGORITHMS = ("ppo", "sac", "td3", "dqn", "a2c", "ddpg")
 """Training algorithms of stable-baselines3"""
+MASKABLE = "ppo"
+"""Algorithm that learns with masks of actions, as MaskablePPO of sb3-contrib"""
 INTERFACE = (
     "action",
     "decision_hz",
@@ -162,6 +164,15 @@ class RunConfig:
         Curriculum(len(self.stages), **self.curriculum)
         for stage in self.stages:
             resolve_options(task, {**self.options, **stage})
+            if "action_masks" in stage:
+                raise ValueError(
+                    "stages: action_masks is the same in all stages: set it in options instead"
+                )
+        if self.action_masks and self.algo != MASKABLE:
+            raise ValueError(
+                f"action_masks is True, and algorithm {self.algo!r} ignores masks: choose "
+                f"{MASKABLE!r}, or leave action_masks out"
+            )
         resolve_options(task, self.evaluated)
 
     @classmethod
@@ -232,7 +243,13 @@ class RunConfig:
     @property
     def settings(self) -> dict[str, Any]:
         """Settings of the algorithm: `DEFAULTS`, overridden by `model`."""
-        return {**DEFAULTS[self.algo], "features": "symlog", **self.model}
+        settings = {**DEFAULTS[self.algo], "features": "symlog", **self.model}
+        if self.action_masks and "policy_kwargs" not in self.model:
+            # Policies of MaskablePPO have no standard deviation
+            layers = dict(settings["policy_kwargs"])
+            layers.pop("log_std_init")
+            settings["policy_kwargs"] = layers
+        return settings
 
     @property
     def interface(self) -> dict[str, Any]:
@@ -254,6 +271,11 @@ class RunConfig:
     def action(self) -> ActionNames:
         """Action type of the policy; or of each drone, or by team."""
         return self._resolved.action
+
+    @property
+    def action_masks(self) -> bool:
+        """Whether the policy is trained, and flies, with masks of discrete actions."""
+        return self._resolved.action_masks
 
     @property
     def evaluated(self) -> dict[str, Any]:

@@ -28,8 +28,11 @@ SB3_POLICY = "bulletuav.adapters.sb3_policy"
 """Module of the PyTorch networks; imported lazily, as it needs an extra"""
 VELOCITY = "velocity"
 """Action type that policies with discrete choices among velocities support, too"""
-RowsToActions = Callable[[Any], np.ndarray]
-"""Function from M rows of observations, or a dict of such arrays, to M rows of actions"""
+RowsToActions = Callable[..., np.ndarray]
+"""Function from M rows of observations, or a dict of such arrays, to M rows of actions.
+
+If the policy was trained with masks, (M, C) bool masks of the actions are its second argument.
+"""
 
 
 def actions_given(learned: ActionNames) -> tuple[ActionNames, ...]:
@@ -97,6 +100,7 @@ class Trained(SharedPolicy):
             # Decode the discrete choice, and command the chosen velocity
             context = action_context(aviary.options, aviary.task)
             self._learned = make_action(learned[0], context)
+        self._masks = aviary.worlds.make_masks(self._learned) if config.action_masks else None
         try:
             self._choose_rows = _network(aviary, config, weights, self._learned)
         except ValueError as error:
@@ -113,7 +117,10 @@ class Trained(SharedPolicy):
         return self.encoded(self._learned.decode(actions, aviary.commanded)[..., :3])
 
     def _choose(self, rows: Any) -> np.ndarray:
-        return self._choose_rows(rows)
+        if self._masks is None:
+            return self._choose_rows(rows)
+        masks = self.aviary.worlds.compute_masks(self._masks)
+        return self._choose_rows(rows, _rows(masks).astype(bool))
 
 
 def _network(aviary: Aviary, config: RunConfig, weights: Weights, learned: Action) -> RowsToActions:
@@ -132,6 +139,7 @@ def _network(aviary: Aviary, config: RunConfig, weights: Weights, learned: Actio
             num_drones=aviary.num_drones,
             labels=aviary.observer.labels,
             weights=weights,
+            masked=config.action_masks,
         )
         return cast(RowsToActions, network)
     plain = Network(weights, config.algo, settings, aviary.observer.labels)

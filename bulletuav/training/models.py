@@ -1,5 +1,6 @@
 """Creation of stable-baselines3 models from the settings of a run."""
 
+import importlib
 import inspect
 import itertools
 import math
@@ -11,6 +12,7 @@ import numpy as np
 from gymnasium.spaces import Box, Dict, flatdim
 
 from bulletuav.adapters.sb3 import (
+    MASKS,
     DroneVecEnv,
     LivingReplay,
     LivingRollouts,
@@ -73,7 +75,7 @@ def make_model(config: RunConfig, env: DroneVecEnv) -> Any:
         ValueError: If the algorithm has no such setting, or the model exceeds the memory.
     """
     settings = config.settings
-    kind = algorithm(config.algo)
+    kind = algorithm(config.algo, config.action_masks)
     pictures = isinstance(env.observation_space, Dict)
     if not pictures and len(env.observation_space.shape or ()) != 1:
         raise ValueError(
@@ -92,7 +94,10 @@ def make_model(config: RunConfig, env: DroneVecEnv) -> Any:
     _translate(settings, env)
     if not pictures:
         # Buffers that drop slots without a drone
-        if config.algo in ON_POLICY:
+        if config.action_masks:
+            masks = importlib.import_module(MASKS)
+            settings.setdefault("rollout_buffer_class", masks.LivingMaskableRollouts)
+        elif config.algo in ON_POLICY:
             settings.setdefault("rollout_buffer_class", LivingRollouts)
         else:
             settings.setdefault("replay_buffer_class", LivingReplay)
@@ -132,7 +137,7 @@ def check_settings(config: RunConfig) -> None:
     """
     settings = config.settings
     del settings["features"]
-    _check(algorithm(config.algo), settings)
+    _check(algorithm(config.algo, config.action_masks), settings)
 
 
 def _check(kind: Any, settings: dict[str, Any]) -> None:

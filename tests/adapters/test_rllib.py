@@ -225,6 +225,7 @@ def test_symlog_compresses_observations_and_their_bounds(make):
     [
         ({"task": None}, "env_config has no task"),
         ({"task": "convergence"}, "did you mean 'converge'"),
+        ({"action": "discrete", "action_masks": True}, "env_config has action_masks"),
         ({"seed": 3}, r"env_config has a seed.*config\.debugging\(seed="),
         ({"dynamic": "bullet"}, "did you mean 'dynamics'"),
         ({"symlog": True, "observation_format": "dict"}, "symlog is for vectors"),
