@@ -31,7 +31,8 @@ class FreeFlightConfig(FreeSpaceOptions, FlightConfig):
             `goals`, and per hour of its flight as `goals_per_hour`. Crashes, bounds and empty
             batteries do not end episodes either: at the beginning of the next decision the drone is
             placed at another start, drawn as the first, with another goal and a full battery. Its
-            action in that decision is the one chosen before. Infos count this as `restarts`.
+            action in that decision is the one chosen before, and effects of `events` stay. Infos
+            count this as `restarts`.
     """
 
     altitude: float = 70.0
