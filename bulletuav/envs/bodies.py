@@ -171,7 +171,9 @@ def _as_bodies(name: str, given: Any) -> tuple[Body, ...]:
     bodies = []
     for one in as_sequence(name, given, most=MAX_BODIES):
         if not isinstance(one, Body | Mapping):
-            raise ValueError(f"{name} has {shown(one)}: a Body, or a dict of its attributes")
+            raise ValueError(
+                f"{name} has {shown(one)}: a Body, or a dict of its attributes, is needed"
+            )
         bodies.append(one if isinstance(one, Body) else _from_dict(Body, one))
     return tuple(bodies)
 
