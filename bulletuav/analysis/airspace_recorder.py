@@ -124,8 +124,8 @@ class AirspaceRecorder:
 
         Returns:
             The files; `calls.json` is among them if the flight can be flown again. It cannot if
-            arguments were Python objects, such as an `Obstacle` or a snapshot, or if the airspace
-            was used before the recording.
+            JSON cannot hold the arguments, such as a snapshot or a function, or if the airspace was
+            used before the recording.
 
         Raises:
             ValueError: If no step was recorded.

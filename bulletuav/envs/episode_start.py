@@ -107,7 +107,7 @@ class EpisodeStart:
         for row, one in zip(self._charge, given, strict=False):
             row[:] = 1.0 if one.charge is None else one.charge
         self._slots = []
-        if self._worlds.bodies.count:
+        if worlds.bodies.count:
             self._draw_bodies(spawns, generators, given)
         if worlds.options.has_absent:
             # After the starts, which therefore do not depend on the range

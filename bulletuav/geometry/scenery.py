@@ -191,7 +191,7 @@ def add_pieces(
     friction: float,
     restitution: float,
 ) -> Scenery:
-    """Make a scenery with one more body.
+    """Make a scenery with more pieces, which move with no entry of `Scenery.bodies`.
 
     Args:
         scenery: The present scenery.
