@@ -68,8 +68,13 @@ class MavlinkFleet:
         if "decision_hz" in options:
             raise ValueError(f"decision_hz is {STEP_HZ} for MAVLink clients: omit the option")
         self.origin = Origin(*as_sequence("home", home, 3))
-        settings = {"physics_hz": PHYSICS_HZ, "decision_hz": STEP_HZ, **options}
-        self.airspace = make_airspace(places, frame, **settings)
+        settings = {
+            "physics_hz": PHYSICS_HZ,
+            "decision_hz": STEP_HZ,
+            "quaternion": NORTH,
+            **options,
+        }
+        self.airspace = make_airspace(places, airframe, **settings)
         self.services = [
             Services(
                 MavlinkVehicle(
@@ -79,7 +84,6 @@ class MavlinkFleet:
             for k, place in enumerate(places)
         ]
         self.tick, self._starts = 0, places
-        self.airspace.place(None, places, NORTH)
         self._update_vehicles()
 
     def __len__(self) -> int:

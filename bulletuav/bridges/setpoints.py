@@ -27,7 +27,7 @@ State = tuple[list[float], list[float], list[float], list[float]]
 
 def make_airspace(
     start_positions: Any,
-    airframe: Airframe,
+    airframe: Any,
     levels: Sequence[SetpointLevel] = tuple(SetpointLevel),
     **options: Any,
 ) -> Airspace:
@@ -38,7 +38,7 @@ def make_airspace(
 
     Args:
         start_positions: (N, 3) start positions of the drones, m.
-        airframe: Airframe of the drones.
+        airframe: Airframe of the drones: name, path of a URDF, or `Airframe`.
         levels: Setpoint levels that the server commands.
         **options: Other options of `Airspace`.
 

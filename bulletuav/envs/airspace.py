@@ -97,13 +97,14 @@ class Airspace(Environment):
         *,
         physics_hz: int = 240,
         decision_hz: int = 240,
+        quaternion: Any = UPRIGHT,
         rotor_speed: float | str | Sequence[Any] | np.ndarray = 0.0,
         obstacles: Sequence[Obstacle] = (),
         layout: Solids | None = None,
         sensors: Sequence[Any] = (),
         **options: Any,
     ) -> None:
-        """Create an airspace with level drones at rest.
+        """Create an airspace with drones at rest.
 
         Args:
             position: (N, 3) start positions, m. A drone that stands on the ground has a height of
@@ -111,6 +112,7 @@ class Airspace(Environment):
             airframe: Name of an airframe, path of a URDF, or an `Airframe`; or one for each drone.
             physics_hz: Physics substeps per second.
             decision_hz: Steps per second; must divide physics_hz.
+            quaternion: Initial attitudes, level by default; see `place`.
             rotor_speed: Initial rotor speeds, rad/s; see `place`.
             obstacles: Obstacles that `place_obstacle` can move into the world.
             layout: Static buildings.
@@ -143,7 +145,7 @@ class Airspace(Environment):
         self._turns = False
         world.wind.reset(0, self.rng)
         world.uncertainty.reset(0, self.rng)
-        self.place(None, position, rotor_speed=rotor_speed)
+        self.place(None, position, quaternion, rotor_speed=rotor_speed)
         world.sensors.reset(0, state.swarm, self.rng)
         world.measure()
         if known.debug:

@@ -291,6 +291,7 @@ def test_command_flies_and_reports(save, tmp_path, capsys):
     lines = (out / "flight.csv").read_text().splitlines()
     assert lines[0] == "t,x,y,z,qx,qy,qz,qw,vx,vy,vz,p,q,r,w1,w2,w3,w4"
     assert float(lines[-1].split(",")[1]) == pytest.approx(3, abs=0.4)
+    main(["verify", str(out)])
 
 
 @pytest.mark.parametrize(

@@ -171,6 +171,18 @@ def test_what_is_placed_stands_there_to_the_bit_and_knows_no_past(dynamics):
     np.testing.assert_array_equal(*flights)
 
 
+@pytest.mark.parametrize("dynamics", DYNAMICS)
+def test_given_attitudes_at_the_start_are_those_of_place(dynamics):
+    turn = Rotation.from_euler("xyz", [(0.2, -0.1, 0.3), (0, 0.4, -1)]).as_quat()
+    flights = []
+    for start in ({"quaternion": turn}, {}):
+        airspace = Airspace(APART[:2], dynamics=dynamics, decision_hz=48, seed=0, **start)
+        if not start:
+            airspace.place(None, APART[:2], turn)
+        flights.append(state(steps(airspace, 12)))
+    np.testing.assert_array_equal(*flights)
+
+
 @pytest.mark.parametrize("dynamics", SIX)
 def test_forces_and_torques_from_outside_follow_newton_and_euler(dynamics):
     airspace = Airspace([(0, 0, 100)], dynamics=dynamics, effects=(), decision_hz=120)
@@ -434,6 +446,7 @@ def test_what_cannot_be_is_refused_and_changes_nothing(call, message):
         ({"position": (0, 0, 1)}, "a row x, y, z for each drone"),
         ({"position": []}, "a row x, y, z for each drone"),
         ({"position": [(0, 0, math.nan)]}, "position is"),
+        ({"quaternion": (0, 0, 0, 0)}, "quaternion"),
         ({"airframe": ["cf2x", "cf2x"]}, "2 airframes for 1 drones"),
         ({"airframe": "cf3x"}, "did you mean 'cf2x'"),
         ({"decision_hz": 7}, "decision_hz 7 does not divide physics_hz 240"),
