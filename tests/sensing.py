@@ -55,7 +55,16 @@ def start(sensor, world, swarm, rng=None):
     sensor.reset(world, swarm, swarm, rng)
 
 
-def moment_of(swarm, before=None, mask=None, steps=1, rngs=None, targets=None, readings=None):
+def moment_of(
+    swarm,
+    before=None,
+    mask=None,
+    steps=1,
+    rngs=None,
+    targets=None,
+    readings=None,
+    action=None,
+):
     """The moment after a decision of the drones of `mask`, by default all; a reset with steps=0."""
     worlds, drones, _ = swarm.position.shape
     return Moment(
@@ -66,6 +75,7 @@ def moment_of(swarm, before=None, mask=None, steps=1, rngs=None, targets=None, r
         steps=np.broadcast_to(steps, worlds).copy(),
         rngs=[None] * worlds if rngs is None else rngs,
         readings={} if readings is None else readings,
+        action=np.zeros((worlds, drones, 0)) if action is None else action,
     )
 
 

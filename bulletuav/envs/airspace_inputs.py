@@ -60,6 +60,7 @@ TASK_OPTIONS = (
     "min_drones",
     "action",
     "action_masks",
+    "communication",
     "horizon",
     "observation",
     "observation_format",

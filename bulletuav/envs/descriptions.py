@@ -70,6 +70,7 @@ def describe_options(options: EnvOptions, config: Any) -> dict[str, Any]:
         "randomization": random,
         "bodies": describe_bodies(options.bodies),
         "events": [event.described() for event in options.events],
+        "communication": options.communication and options.communication.described(),
         "dynamics": options.dynamics_name,
         "observation": observed and [observation_name(one) for one in observed],
         "sensors": [find_sensor(one).name for one in options.sensors],

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from bulletuav.control.actions import Action, ActionContext, make_actions
+from bulletuav.control.actions.messages import add_message
 from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.dynamics import find_dynamics
 from bulletuav.envs.bodies import count_bodies
@@ -28,6 +29,7 @@ from bulletuav.errors import (
 from bulletuav.sensors.base import SensorSetup
 from bulletuav.sensors.camera import COMPILED_ONLY, DEPTH_IMAGES, IMAGES
 from bulletuav.sensors.lidar import make_beams
+from bulletuav.sensors.messages import Channel, Messages
 from bulletuav.sensors.suite import provider
 from bulletuav.tasks import TaskSource, find_task
 from bulletuav.tasks.base import Task
@@ -97,6 +99,8 @@ class EnvSpec:
         self.action = _make_action(self.options, self.task)
         # Observations determine which sensors are needed
         sources = kind.observation if self.options.observation is None else self.options.observation
+        if self.options.communication is not None:
+            sources = self._add_messages(self.options.communication, tuple(sources))
         self._check_observation(sources)
         self._names = {observation_name(source) for source in sources}
         wanted = self._wanted(sources)
@@ -130,6 +134,18 @@ class EnvSpec:
         consumes: object = find_dynamics(self.options.dynamics).consumes
         if isinstance(consumes, SetpointLevel):
             self.options.check_setpoint_levels(self.action.kind_levels, consumes)
+
+    def _add_messages(self, channel: Channel, sources: tuple[Any, ...]) -> tuple[Any, ...]:
+        """Add messages to actions, sensors and the observed blocks, which are returned."""
+        is_discrete = self.action.choices is not None
+        messages = Messages(channel, is_discrete)
+        if messages.name in self.sensors:
+            raise ValueError(
+                f"sensors has {messages.name!r}, the name of the sensor of communication: rename it"
+            )
+        self.sensors = {**self.sensors, messages.name: messages}
+        self.action = add_message(self.action, channel.size, channel.tokens)
+        return sources if messages.name in sources else (*sources, messages.name)
 
     def _check_absent(self, kind: type[Task[Any]]) -> None:
         """Raise ValueError for a drawn number of drones in tasks that need all of them."""

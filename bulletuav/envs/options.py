@@ -20,6 +20,7 @@ from bulletuav.geometry.obstacle import MAX_FRICTION
 from bulletuav.geometry.view import FAR
 from bulletuav.sensors.camera import DEPTHS, RENDERERS
 from bulletuav.sensors.lidar import FRAMES
+from bulletuav.sensors.messages import Channel, as_channel
 from bulletuav.sensors.mounts import as_mounts
 from bulletuav.tasks.observations.images import ARRAY, CAMERA_FORMATS, MAX_FRAMES
 from bulletuav.vehicle.airframe import STANDARD_GRAVITY, Airframe
@@ -167,6 +168,9 @@ class EnvOptions:
         action_masks: Whether infos have "action_mask", the valid moves of a discrete action, int8,
             1 for valid ones; see `bulletuav.envs.action_masks.ActionMasks`. Moves that lead out of
             the arena are invalid. An invalid move is flown all the same.
+        communication: Channel for messages that are part of actions and observations, such as
+            {"size": 8, "range": 300.0}; a `bulletuav.sensors.messages.Channel`, or a dict of its
+            attributes. None for no messages.
     """
 
     num_drones: int
@@ -221,6 +225,7 @@ class EnvOptions:
     debug: bool = False
     action_masks: bool = False
     min_drones: int | None = None
+    communication: Channel | None = None
 
     def __post_init__(self) -> None:
         for name, most in MAX_COUNTS.items():
@@ -259,6 +264,9 @@ class EnvOptions:
             as_bool(name, getattr(self, name))
         self._keep("bodies", as_bodies(self.bodies))
         self._keep("events", as_events(self.events))
+        self._keep("communication", as_channel(self.communication))
+        if self.communication is not None and self.num_drones == 1:
+            raise ValueError("communication needs two drones or more: leave it out for one drone")
         self._check_reward()
         self._check_sensors()
         self._check_cameras()

@@ -252,6 +252,7 @@ def sensor_setup(options: EnvOptions, num_worlds: int, wanted: frozenset[str]) -
         camera_range=options.camera_range,
         camera_depth=options.camera_depth,
         camera_mounts=as_mounts(options.camera_mounts),
+        num_neighbours=options.num_neighbours,
         wanted=wanted,
         longest_delay=longest("radio_delay"),
         longest_picture_delay=longest("camera_delay"),

@@ -152,7 +152,8 @@ class Worlds(Parts):
         if not self.sensors.sensors:
             return
         targets = self.task.targets(self.state.scene)
-        moment = Moment(before, after, targets, mask, self.state.steps, self.rng, {})
+        action = self.state.action
+        moment = Moment(before, after, targets, mask, self.state.steps, self.rng, {}, action)
         for name, value in self.sensors.measure(moment, self.show).items():
             held = self.readings.get(name)
             if held is None or held is self.nothing_seen:

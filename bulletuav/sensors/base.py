@@ -95,6 +95,7 @@ class SensorSetup:
         camera_range: Nearest and farthest depth, m.
         camera_depth: "metres", "linear" or "inverse"; see `EnvOptions`.
         camera_mounts: Mount of each drone's camera, or mounts of its cameras.
+        num_neighbours: Number of other drones that are observed.
         num_targets: Number of targets of the task, U.
         arena: Lower and upper corner (3,) of the arena, m.
         wanted: Readings that are observed or required by the task.
@@ -115,6 +116,7 @@ class SensorSetup:
     camera_range: tuple[float, float] = (0.0, FAR)
     camera_depth: str = "metres"
     camera_mounts: Mounts = FORWARD
+    num_neighbours: int = 3
     num_targets: int = 0
     arena: tuple[np.ndarray, np.ndarray] = (np.full(3, -1e3), np.full(3, 1e3))
     wanted: frozenset[str] = frozenset()
@@ -133,6 +135,7 @@ class Moment(NamedTuple):
         steps: (W,) decisions since the reset of each world, 0 at the reset itself.
         rngs: Random generator of each world; draw numbers of a world from its own generator only.
         readings: Readings of earlier sensors at this moment, by name.
+        action: (W, N, A) actions of the decision; without numbers in an airspace.
     """
 
     before: Swarm
@@ -142,6 +145,7 @@ class Moment(NamedTuple):
     steps: np.ndarray
     rngs: Sequence[np.random.Generator]
     readings: dict[str, np.ndarray]
+    action: np.ndarray
 
     @property
     def position(self) -> np.ndarray:

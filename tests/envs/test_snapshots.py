@@ -21,6 +21,7 @@ from bulletuav.envs.snapshot import EnvironmentSnapshot, Form, Snapshot, checksu
 from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.sensors.imperfect import Imperfect
 from bulletuav.sensors.imu import Imu
+from bulletuav.sensors.messages import Channel
 from bulletuav.vehicle.airframes import load_airframe
 
 UNCERTAIN = {
@@ -741,6 +742,7 @@ def test_every_option_is_among_the_parts_of_a_snapshot_or_without_effect(task):
     values = {one: getattr(other.options, one) for one in ("airframe", "randomization", "sensors")}
     values |= {"observation": other.options.observation, "reward": {"mine": (len, 0.1)}}
     values["bodies"] = as_bodies([Body(Obstacle("sphere", (0.3,)), (0.0, 0.0, 9.0))])
+    values["communication"] = Channel(size=3)
     values["events"] = as_events({"time": 1.0, "added_mass": 0.01})
     for field in dataclasses.fields(EnvOptions):
         value = values.get(field.name, ANOTHER)

@@ -22,7 +22,7 @@ def _decode_thrust(
     """Write the rotor speeds, at most `most` (N,), of action `rotor`."""
     for w in range(action.shape[0]):
         for i in range(action.shape[1]):
-            for r in range(action.shape[2]):
+            for r in range(setpoint.shape[2]):
                 setpoint[w, i, r] = most[i] * math.sqrt(0.5 * (action[w, i, r] + 1))
 
 
@@ -31,7 +31,7 @@ def _decode_rpm(action: np.ndarray, commanded: np.ndarray, setpoint: np.ndarray)
     """Write the rotor speeds of action `rpm`."""
     for w in range(action.shape[0]):
         for i in range(action.shape[1]):
-            for r in range(action.shape[2]):
+            for r in range(setpoint.shape[2]):
                 setpoint[w, i, r] = action[w, i, r] * RPM
 
 
@@ -42,7 +42,7 @@ def _decode_change(
     """Write the rotor speeds of action `hover_rpm`, about those of `hover` (N,)."""
     for w in range(action.shape[0]):
         for i in range(action.shape[1]):
-            for r in range(action.shape[2]):
+            for r in range(setpoint.shape[2]):
                 setpoint[w, i, r] = hover[i] * (1 + HOVER_RPM_RANGE * action[w, i, r])
 
 

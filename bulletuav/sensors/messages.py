@@ -1,0 +1,399 @@
+"""Messages that drones choose as part of their actions, and broadcast by radio."""
+
+import dataclasses
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from bulletuav.compiled.kernel import allocating
+from bulletuav.control.actions.messages import read_message
+from bulletuav.engine.engine import Engine
+from bulletuav.errors import as_bool, as_int, finite, points_of, shown, unknown
+from bulletuav.geometry.closest_approach import insert_nearest
+from bulletuav.sensors.base import Image, Label, Moment, Sensor, SensorSetup
+from bulletuav.sensors.sight import line_of_sight
+from bulletuav.vehicle.swarm import Swarm
+
+MAX_SIZE = 256
+"""Maximum number of numbers or tokens in a message"""
+MAX_TOKENS = 1024
+"""Maximum number of different tokens"""
+MAX_DELAY = 10.0
+"""Maximum delay, s"""
+MAX_PLACE = 1e5
+"""Maximum coordinate of a jammer, m"""
+NUMBER_BITS = 32
+"""Bits of a number that is no token: single precision, as in observations"""
+
+
+@dataclass(frozen=True)
+class Jammer:
+    """Source of interference that flies along a closed path at constant speed.
+
+    A message arrives if its power at the receiver exceeds that of the jammer by `min_ratio`. Both
+    powers fall with the square of the distance, as in free space (Friis 1946, "A note on a simple
+    transmission formula"). A message over the distance d thus arrives where the receiver is
+    farther from the jammer than d 10^((power + min_ratio) / 20).
+
+    Attributes:
+        path: (P, 3) points of the path, m; a single point for a jammer at rest. After the last
+            point it returns to the first.
+        speed: Speed along the path, m/s.
+        power: Radiated power relative to that of a drone, dB.
+        min_ratio: Minimum ratio of signal to interference, dB.
+    """
+
+    path: Sequence[Sequence[float]]
+    speed: float = 0.0
+    power: float = 0.0
+    min_ratio: float = 10.0
+
+    def __post_init__(self) -> None:
+        points = points_of("path of a jammer", self.path)
+        if not len(points) or np.abs(points).max() > MAX_PLACE:
+            raise ValueError(
+                f"path of a jammer is {shown(self.path)}: points (x, y, z) from {-MAX_PLACE:g} to "
+                f"{MAX_PLACE:g} m are needed"
+            )
+        object.__setattr__(self, "path", tuple(map(tuple, points.tolist())))
+        object.__setattr__(self, "speed", finite("speed of a jammer", self.speed, 0.0, 1e3))
+        for name in ("power", "min_ratio"):
+            value = finite(f"{name} of a jammer", getattr(self, name), -100.0, 100.0)
+            object.__setattr__(self, name, value)
+        if (len(points) > 1) != (self.speed > 0):
+            raise ValueError(
+                f"speed of a jammer is {self.speed:g} m/s, and its path has {len(points)} points: "
+                f"a moving jammer needs a speed above 0 and two points or more"
+            )
+
+    @property
+    def reach_ratio(self) -> float:
+        """Maximum distance of a message over the receiver's distance from the jammer."""
+        return float(10.0 ** (-(self.power + self.min_ratio) / 20.0))
+
+    def position(self, time: float) -> np.ndarray:
+        """Return the position (3,) at a time in s, m."""
+        points = np.array(self.path)
+        steps = np.roll(points, -1, axis=0) - points
+        lengths = np.sqrt((steps**2).sum(axis=1))
+        total = float(lengths.sum())
+        if total == 0.0:
+            start: np.ndarray = points[0]
+            return start
+        along = math.fmod(self.speed * time, total)
+        ends = np.cumsum(lengths)
+        leg = min(int(np.searchsorted(ends, along, side="right")), len(points) - 1)
+        done = (along - (ends[leg] - lengths[leg])) / lengths[leg]
+        place: np.ndarray = points[leg] + done * steps[leg]
+        return place
+
+
+@dataclass(frozen=True)
+class Channel:
+    """Radio channel for messages that are part of each drone's action.
+
+    In each decision a drone broadcasts a message to all others, which observe it as "messages"
+    after its delay. A message is lost beyond the range, with the probability `loss`, without line
+    of sight if that is required, or if a jammer is too near.
+
+    Attributes:
+        size: Number of numbers, or of tokens, in a message.
+        tokens: Number of different tokens; None for numbers from -1 to 1.
+        range: Range, m.
+        loss: Probability that a receiver does not get a message.
+        delay: Delay, s, rounded up to whole decisions.
+        bandwidth: Bits that a drone can send per second. A message has 32 bits for each number, or
+            log2(tokens) for each token. If that is too much, drones send in every k-th decision,
+            with the smallest possible k.
+        line_of_sight: Whether buildings and obstacles block messages.
+        jammer: Source of interference, or a dict of its attributes.
+    """
+
+    size: int = 8
+    tokens: int | None = None
+    range: float = math.inf
+    loss: float = 0.0
+    delay: float = 0.0
+    bandwidth: float = math.inf
+    line_of_sight: bool = False
+    jammer: Jammer | None = None
+
+    def __post_init__(self) -> None:
+        self._keep("size", as_int("size of communication", self.size, 1, MAX_SIZE))
+        if self.tokens is not None:
+            tokens = as_int("tokens of communication", self.tokens, 2, MAX_TOKENS)
+            self._keep("tokens", tokens)
+        for name in ("range", "bandwidth"):
+            value = getattr(self, name)
+            if value != math.inf:
+                value = finite(f"{name} of communication", value)
+                self._keep(name, value)
+            if not value > 0:
+                raise ValueError(f"{name} of communication is {value:g}: it must be above 0")
+        self._keep("loss", finite("loss of communication", self.loss, 0.0, 1.0))
+        if self.loss == 1:
+            raise ValueError("loss of communication is 1, and no message arrives: lower it")
+        self._keep("delay", finite("delay of communication", self.delay, 0.0, MAX_DELAY))
+        as_bool("line_of_sight of communication", self.line_of_sight)
+        if self.jammer is not None:
+            self._keep("jammer", _make("jammer of communication", Jammer, self.jammer))
+
+    def _keep(self, name: str, value: Any) -> None:
+        object.__setattr__(self, name, value)
+
+    @property
+    def message_bits(self) -> float:
+        """Bits of a message."""
+        return self.size * (NUMBER_BITS if self.tokens is None else math.log2(self.tokens))
+
+    @property
+    def observed_size(self) -> int:
+        """Numbers of an observed message: those of a continuous one, or one for each token."""
+        return self.size * (self.tokens or 1)
+
+    def decisions_between(self, period: float) -> int:
+        """Return the number of decisions from one message of a drone to its next.
+
+        Args:
+            period: Time between decisions, s.
+        """
+        return max(1, _ceil(self.message_bits / (self.bandwidth * period)))
+
+    def described(self) -> dict[str, Any]:
+        """Return the attributes that differ from the defaults, as values that JSON can store."""
+        changed = {
+            one.name: getattr(self, one.name)
+            for one in dataclasses.fields(self)
+            if getattr(self, one.name) != one.default
+        }
+        if self.jammer is not None:
+            changed["jammer"] = dataclasses.asdict(self.jammer)
+        return {"size": self.size, **changed}
+
+
+def as_channel(given: Any) -> Channel | None:
+    """Check and convert the option `communication`.
+
+    Args:
+        given: A channel, a dict of its attributes, or None.
+
+    Returns:
+        The channel; None for None.
+
+    Raises:
+        ValueError: If the value is no channel, or an attribute is unknown or invalid.
+    """
+    return None if given is None else _make("communication", Channel, given)
+
+
+def _make(what: str, kind: type[Any], given: Any) -> Any:
+    """Return an object of a class, or one with the attributes of a dict."""
+    if isinstance(given, kind):
+        return given
+    names = tuple(one.name for one in dataclasses.fields(kind))
+    if not isinstance(given, Mapping):
+        raise ValueError(
+            f"{what} is {shown(given)}: a {kind.__name__}, or a dict of {', '.join(names)}, is "
+            f"needed"
+        )
+    for name in given:
+        if name not in names:
+            raise unknown(f"attribute of {what}:", name, names)
+    if kind is Jammer and "path" not in given:
+        raise ValueError(f"{what} is {shown(dict(given))}: it lacks a path")
+    return kind(**given)
+
+
+def _ceil(number: float) -> int:
+    """Round up to a whole number, except for rounding errors."""
+    return math.ceil(number - 1e-9)
+
+
+@allocating
+def _deliver(
+    position: np.ndarray,
+    known: np.ndarray,
+    flying: np.ndarray,
+    sent: np.ndarray,
+    reach: tuple[float, float, float],
+    jammer: np.ndarray,
+    chance: np.ndarray,
+    heard: np.ndarray,
+    near: np.ndarray,
+) -> None:
+    """Write which messages of one world arrive, and the nearest other drones.
+
+    Args:
+        position: (N, 3) positions, m.
+        known: (N, 3) positions as the drones know them, m.
+        flying: (N,) bool.
+        sent: (N,) bool, drones whose messages arrive now.
+        reach: Range, m; probability of a loss; maximum distance over that from the jammer.
+        jammer: (J, 3) positions of the jammers, m.
+        chance: (N, N) random numbers from 0 to 1; unused without losses.
+        heard: (N, N) bool, written: whether drone i gets a message of drone j.
+        near: (N, K) written: the nearest other drones by `known`; -1 for none.
+    """
+    drones, count = near.shape
+    farthest, loss, ratio = reach
+    least = np.empty(count)
+    for i in range(drones):
+        clear = np.inf
+        for k in range(jammer.shape[0]):
+            square = 0.0
+            for axis in range(3):
+                square += (jammer[k, axis] - position[i, axis]) ** 2
+            clear = min(clear, ratio * math.sqrt(square))
+        found = 0
+        near[i] = -1
+        for j in range(drones):
+            heard[i, j] = False
+            if i == j or not (flying[i] and flying[j]):
+                continue
+            square, apparent = 0.0, 0.0
+            for axis in range(3):
+                square += (position[j, axis] - position[i, axis]) ** 2
+                apparent += (known[j, axis] - known[i, axis]) ** 2
+            found = insert_nearest(near[i], least, found, j, apparent)
+            distance = math.sqrt(square)
+            if sent[j] and distance <= farthest and distance <= clear:
+                heard[i, j] = loss == 0.0 or chance[i, j] >= loss
+
+
+class Messages(Sensor):
+    """Messages of the nearest other drones; the sensor of the option `communication`.
+
+    The reading "messages" has a slot for each of the `num_neighbours` nearest other drones by
+    their measured positions: 1 if a message of that drone arrived in this decision, else 0, and the
+    message. A token is a vector of zeros with 1 at its index. Slots without a message are zeros.
+
+    Attributes:
+        channel: The channel.
+    """
+
+    name = "messages"
+
+    def __init__(self, channel: Channel, is_discrete: bool) -> None:
+        """Store the channel, and whether actions are discrete choices."""
+        self.channel, self._is_discrete = channel, is_discrete
+
+    def labels(self, setup: SensorSetup) -> Mapping[str, tuple[Label, ...] | Image]:
+        """Return the labels of all slots."""
+        channel, labels = self.channel, []
+        low = -1.0 if channel.tokens is None else 0.0
+        for slot in range(1, setup.num_neighbours + 1):
+            labels.append(Label(f"message from neighbour {slot}", "1", 0.0, 1.0))
+            for k in range(channel.observed_size):
+                number = f"message {k + 1}"
+                if channel.tokens is not None:
+                    number = f"token {k // channel.tokens + 1} is {k % channel.tokens}"
+                labels.append(Label(f"neighbour {slot} {number}", "1", low, 1.0))
+        return {self.name: tuple(labels)}
+
+    def attach(self, setup: SensorSetup, engine: Engine) -> None:
+        """Allocate messages in transit and received messages."""
+        super().attach(setup, engine)
+        (worlds, drones), channel = setup.shape, self.channel
+        self._late = _ceil(channel.delay / setup.period)
+        self._every = channel.decisions_between(setup.period)
+        # In transit, latest first
+        self._message = np.zeros((self._late + 1, worlds, drones, channel.size))
+        self._sent = np.zeros((self._late + 1, worlds, drones), dtype=bool)
+        self._heard = np.zeros((worlds, drones, drones), dtype=bool)
+        self._near = np.full((worlds, drones, setup.num_neighbours), -1)
+        self._num_sent, self._num_heard = np.zeros((2, worlds, drones), dtype=np.int64)
+        jammer = channel.jammer
+        self._ratio = 1.0 if jammer is None else jammer.reach_ratio
+
+    def reset(self, world: int, swarm: Swarm, known: Swarm, rng: np.random.Generator) -> None:
+        """Clear the messages of one world."""
+        self._message[:, world], self._sent[:, world] = 0.0, False
+        self._heard[world], self._near[world] = False, -1
+        self._num_sent[world] = self._num_heard[world] = 0
+
+    def measure(self, moment: Moment) -> Mapping[str, np.ndarray]:
+        """Send and receive messages in the worlds that executed a decision."""
+        channel, worlds = self.channel, np.flatnonzero(moment.flying).tolist()
+        given = read_message(moment.action, channel.size, channel.tokens, self._is_discrete)
+        for w in worlds:
+            self._message[1:, w], self._sent[1:, w] = self._message[:-1, w], self._sent[:-1, w]
+            self._message[0, w] = given[w]
+            is_due = (moment.steps[w] - 1) % self._every == 0
+            self._sent[0, w] = moment.mask[w] & is_due
+            self._receive(w, moment)
+        if channel.line_of_sight:
+            self._require_sight(moment.after.position, worlds)
+        self._num_sent[worlds] += self._sent[0, worlds]
+        self._num_heard[worlds] += self._heard[worlds].sum(axis=2)
+        return {self.name: self._observe()}
+
+    def _receive(self, w: int, moment: Moment) -> None:
+        """Write which messages arrive in a world."""
+        channel, drones = self.channel, self.setup.shape[1]
+        jammers = np.zeros((0, 3))
+        if channel.jammer is not None:
+            jammers = channel.jammer.position(moment.steps[w] * self.setup.period)[None]
+        chance = moment.rngs[w].random((drones, drones)) if channel.loss else np.zeros((0, 0))
+        _deliver(
+            moment.after.position[w],
+            moment.position[w],
+            moment.mask[w],
+            self._sent[-1, w],
+            (channel.range, channel.loss, self._ratio),
+            jammers,
+            chance,
+            self._heard[w],
+            self._near[w],
+        )
+
+    def _require_sight(self, position: np.ndarray, worlds: list[int]) -> None:
+        """Drop messages between drones that do not see each other."""
+        heard = np.zeros_like(self._heard)
+        heard[worlds] = self._heard[worlds]
+        w, i, j = np.nonzero(heard)
+        if len(w):
+            self._heard[w, i, j] = line_of_sight(self.engine, position[w, i], position[w, j], w)
+
+    def _observe(self) -> np.ndarray:
+        """Return the slots of all drones, (W, N, K (1 + numbers))."""
+        channel, near = self.channel, self._near
+        worlds, drones, count = near.shape
+        w, i = np.ogrid[:worlds, :drones]
+        w, i = w[..., None], i[..., None]
+        arrived = (near >= 0) & self._heard[w, i, near]
+        message = self._message[-1][w, near]
+        if channel.tokens is not None:
+            message = message[..., None] == np.arange(channel.tokens)
+        message = message.reshape(worlds, drones, count, -1) * arrived[..., None]
+        slots = np.concatenate([arrived[..., None], message], axis=-1)
+        seen: np.ndarray = slots.reshape(worlds, drones, -1).astype(float)
+        return seen
+
+    def info(self) -> Mapping[str, np.ndarray]:
+        """Return the numbers of bits sent and of messages received since the reset."""
+        bits = self._num_sent * self.channel.message_bits
+        return {"message_bits": bits, "messages_heard": self._num_heard.copy()}
+
+    def kept(self) -> Mapping[str, np.ndarray]:
+        """Return messages in transit and received messages; see the base class."""
+        return {
+            "message": self._message.swapaxes(0, 1),
+            "sent": self._sent.swapaxes(0, 1),
+            "heard": self._heard,
+            "near": self._near,
+            "num_sent": self._num_sent,
+            "num_heard": self._num_heard,
+        }
+
+    def kept_bounds(self) -> Mapping[str, tuple[float, float]]:
+        """Return the bounds of messages and of indices; see the base class."""
+        most = 1.0 if self.channel.tokens is None else self.channel.tokens - 1.0
+        return {
+            "message": (-1.0, most),
+            "near": (-1, self.setup.shape[1] - 1),
+            "num_sent": (0, np.inf),
+            "num_heard": (0, np.inf),
+        }
