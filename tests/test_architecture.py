@@ -38,6 +38,7 @@ EXTRAS = {
     "onnx",
     "onnxruntime",
     "pymavlink",
+    "pyulog",
     "rerun",
     "rosbags",
 }

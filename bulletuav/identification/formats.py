@@ -52,7 +52,7 @@ def read_flight_log(
 
 def _find_reader(start: bytes) -> Reader | None:
     """Return the reader of a format by the first bytes of the file; None for CSV files."""
-    if start.startswith(ulog.MAGIC[:4]):
+    if start.startswith(ulog.MAGIC):
         return read_ulog
     if start.startswith(usd_log.MAGIC):
         return read_usd_log

@@ -19,14 +19,23 @@ def to_ned(rows):
 
 
 class Ulog:
-    """Bytes of a ULog file."""
+    """A ULog file: formats come before all messages."""
 
     def __init__(self, flags=bytes(8), offsets=(0, 0, 0)):
-        self.data = b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 0)
+        self.definitions = b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 0)
+        self.messages = b""
         self.add("B", bytes(8) + flags + struct.pack("<3Q", *offsets))
 
     def add(self, kind, content):
-        self.data += struct.pack("<HB", len(content), ord(kind)) + content
+        message = struct.pack("<HB", len(content), ord(kind)) + content
+        if kind in "BF":
+            self.definitions += message
+        else:
+            self.messages += message
+
+    @property
+    def data(self):
+        return self.definitions + self.messages
 
     def topic(self, number, name, fields, instance=0):
         text = f"{name}:" + "".join(f"{kind} {field};" for kind, field in fields)

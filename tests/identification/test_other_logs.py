@@ -15,6 +15,8 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from bulletuav import load_airframe
 from bulletuav.cli import main
+from bulletuav.errors import GIB
+from bulletuav.identification import ulog
 from bulletuav.identification.formats import read_flight_log
 from bulletuav.identification.identify import identify
 from bulletuav.identification.logs import parse_map
@@ -252,8 +254,7 @@ def test_measured_speeds_are_used_without_a_pwm_map(tmp_path):
         log.write(0, "Q4f", 10_000 * k, 1, 0, 0, 0)
         log.write(1, "Q3f", 10_000 * k, k, k, k)
         reports = b"".join(struct.pack("<Qi3x", 0, 5000 + motor) for motor in range(1, 5))
-        # Padding at the end is not logged
-        log.add("D", struct.pack("<HQ", 2, 10_000 * k) + reports[:-3])
+        log.add("D", struct.pack("<HQ", 2, 10_000 * k) + reports)
         log.write(3, "Q4f", 10_000 * k, 1100, 1200, 1300, 1400)
         log.write(4, "Q4f", 10_000 * k, 1, 2, 3, 4)
     path = save(tmp_path, log.data)
@@ -331,11 +332,6 @@ def damage():
     bomb.write(0, "Q", 0)
     empty = Ulog()
     empty.add("F", b"e:")
-    many = Ulog()
-    # 40 formats of 8,000 fields each are within the limits, but not all of them together
-    for k in range(40):
-        many.topic(k, f"a{k}", [CLOCK, *[("uint8_t[4000]", f"x{i}") for i in range(2)]])
-        many.write(k, "Q8000s", 0, b"")
     loop = Ulog()
     loop.topic(0, "a", [CLOCK, ("a", "x")])
     loop.write(0, "Q", 0)
@@ -354,19 +350,20 @@ def damage():
     no_clock.write(0, "f", 0)
     event = (1, "e", ["x(f)"])
     return {
-        "ulog header": (plain[:10], "its header is incomplete"),
-        "ulog magic": (b"ULog\x09\x12\x35" + plain[7:], "its header is incomplete"),
-        "ulog flags": (Ulog(flags=b"\x02" + bytes(7)).data, "incompatible flags 02"),
-        "ulog offsets": (Ulog(b"\1" + bytes(7), (9**9, 0, 0)).data, "outside of the file"),
-        "ulog cut": (plain[:-3], "lacks the columns"),
-        "ulog bomb": (bomb.data, "is too large"),
-        "ulog empty": (empty.data, "the format of e has 0 fields"),
-        "ulog many": (many.data, "the format of a32 is too large"),
-        "ulog loop": (loop.data, "is too large"),
-        "ulog huge": (huge.data, "has the field 'float[4000000000] x'"),
-        "ulog wide": (wide.data, "is too large"),
-        "ulog short": (short.data, "do not fit"),
-        "ulog unknown": (unknown.data, "damaged ULog file (5)"),
+        "ulog header": (plain[:10], "Header too short"),
+        "ulog magic": (b"ULog\x09\x12\x35" + plain[7:], "Failed to parse header"),
+        "ulog flags": (Ulog(flags=b"\x02" + bytes(7)).data, "Unknown incompatible flag"),
+        "ulog offsets": (Ulog(b"\1" + bytes(7), (9**9, 0, 0)).data, "lacks the columns"),
+        "ulog noise": (b"ULog" + np.random.default_rng(1).bytes(5000), "Failed to parse header"),
+        "ulog noisy": (plain[:16] + np.random.default_rng(1).bytes(5000), "damaged"),
+        "ulog cut": (plain[:-3], "the file has an incomplete message at its end"),
+        "ulog bomb": (bomb.data, "need too much memory"),
+        "ulog empty": (empty.data, "lacks the columns"),
+        "ulog loop": (loop.data, "maximum recursion depth"),
+        "ulog huge": (huge.data, "the file has damaged messages"),
+        "ulog wide": (wide.data, "need too much memory"),
+        "ulog short": (short.data, "the file has damaged messages"),
+        "ulog unknown": (unknown.data, "lacks the columns"),
         "ulog clock": (no_clock.data, "a has no timestamp"),
         "usd empty": (b"\xbc", "damaged log of a micro-SD"),
         "usd version": (usd_bytes(3, [], b""), "version is 3"),
@@ -392,8 +389,9 @@ DAMAGED = damage()
 
 
 @pytest.mark.parametrize("name", DAMAGED)
-def test_damaged_logs_give_one_error(name, tmp_path):
+def test_damaged_logs_give_one_error(name, tmp_path, monkeypatch):
     data, message = DAMAGED[name]
+    monkeypatch.setattr(ulog, "MIN_MEMORY", GIB // 4)
     path = save(tmp_path, data)
     with pytest.raises(ValueError, match=".") as caught:
         read_flight_log(path, {}, DRONE)
@@ -401,15 +399,24 @@ def test_damaged_logs_give_one_error(name, tmp_path):
     assert message in str(caught.value)
 
 
-def test_topics_of_one_format_expand_it_once(tmp_path):
-    log = Ulog()
-    log.topic(0, "a", [CLOCK, ("uint8_t[4000]", "x")])
-    for k in range(100):
-        if k:
-            log.subscribe(k, "a", k)
-        log.write(k, "Q4000s", 0, b"")
-    with pytest.raises(ValueError, match="lacks the columns"):
-        read_flight_log(save(tmp_path, log.data), {}, DRONE)
+def test_a_log_that_takes_too_long_is_refused(logs, monkeypatch):
+    monkeypatch.setattr(ulog, "MAX_SECONDS", 0.01)
+    with pytest.raises(ValueError, match=r"log.ulg takes pyulog more than 0.01 s: cut the log"):
+        read(logs, "log.ulg")
+
+
+def test_a_killed_subprocess_gives_one_error(logs, monkeypatch, tmp_path):
+    child = tmp_path / "child.py"
+    child.write_text("import os; os.kill(os.getpid(), 9)")
+    monkeypatch.setattr(ulog, "CHILD", child)
+    with pytest.raises(ValueError, match=r"log.ulg is a damaged ULog file \(pyulog ended with -9"):
+        read(logs, "log.ulg")
+
+
+def test_logs_of_px4_need_an_extra(logs, monkeypatch):
+    monkeypatch.setattr(ulog.importlib.util, "find_spec", lambda name: None)
+    with pytest.raises(ImportError, match="reading logs of PX4 needs the extra 'ulog'"):
+        read(logs, "log.ulg")
 
 
 @pytest.mark.parametrize("name", ["log.ulg", "log00", "one.bag"])
