@@ -89,8 +89,8 @@ def _read_series(path: Path) -> tuple[list[Series], list[str]]:
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
             timeout=MAX_SECONDS,
-            # OpenBLAS reserves memory for each thread, and Python's own allocator repeats calls that
-            # fail at the limit
+            # OpenBLAS reserves memory for each thread, and Python's own allocator repeats calls
+            # that fail at the limit
             env={
                 **os.environ,
                 "PYTHONPATH": os.pathsep.join(filter(None, sys.path)),

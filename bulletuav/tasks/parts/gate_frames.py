@@ -7,7 +7,7 @@ import numpy as np
 
 from bulletuav.compiled.functions import atan2, tan
 from bulletuav.geometry.rotation import axes
-from bulletuav.tasks.parts.gates import BAR, Gate, bar_poses, gate_axes
+from bulletuav.tasks.parts.gates import Gate, bar_poses, gate_axes
 
 SAME = 1e-6
 """Tolerance of positions, m, and directions, rad, within which two gates are one"""
@@ -16,7 +16,7 @@ TOUCH = 1e-9
 
 
 def find_frames(gates: Sequence[Gate]) -> np.ndarray:
-    """Return the frames of gates; gates with the same place, size and shape share a frame.
+    """Return the frames of gates; gates with the same place, shape, size and bars share a frame.
 
     Gates may share a frame in the same or in the opposite direction.
 
@@ -29,7 +29,8 @@ def find_frames(gates: Sequence[Gate]) -> np.ndarray:
     for k, gate in enumerate(gates):
         near = (np.abs(position[:k] - position[k]) <= SAME).all(axis=1)
         for other in np.flatnonzero(near & (first[:k] == np.arange(k))).tolist():
-            is_like = (gates[other].shape, gates[other].size) == (gate.shape, gate.size)
+            like = gates[other]
+            is_like = (like.shape, like.size, like.bar) == (gate.shape, gate.size, gate.bar)
             if is_like and _is_same_frame(axis[other], axis[k], gate.sides):
                 first[k] = other
                 break
@@ -56,7 +57,8 @@ def make_bars(gate: Gate, motion: float) -> tuple[np.ndarray, np.ndarray]:
         from -1 to 1 of its generators.
     """
     _, offset, turn = bar_poses([gate])
-    half = 0.5 * np.array((BAR, BAR, (gate.size + 2 * BAR) * float(tan(math.pi / gate.sides))))
+    length = (gate.size + 2 * gate.bar) * float(tan(math.pi / gate.sides))
+    half = 0.5 * np.array((gate.bar, gate.bar, length))
     bars = np.array([half[:, None] * np.array(axes(tuple(one))) for one in turn.tolist()])
     aside = np.broadcast_to(motion * gate_axes([gate])[0, 1], (len(bars), 1, 3))
     return np.array(gate.position) + offset, np.concatenate([bars, aside], axis=1)

@@ -19,7 +19,7 @@ from bulletuav.geometry.rotation import axes, from_euler
 SIDES = {"square": 4, "round": 12}
 """Number of sides of the opening, by shape"""
 BAR = 0.2
-"""Thickness of the bars of a frame, m"""
+"""Default thickness of the bars of a frame, m"""
 ORANGE = (0.95, 0.45, 0.1, 1.0)
 """Colour of frames, RGBA"""
 MISS_RANGE = 3.0
@@ -37,6 +37,7 @@ class Gate:
         roll: Rotation of the frame about this direction, degrees.
         shape: "square" or "round".
         size: Width of the opening between opposite sides, m.
+        bar: Thickness of the bars of the frame, m.
 
     Raises:
         ValueError: If the shape is unknown, or a number is out of range.
@@ -48,6 +49,7 @@ class Gate:
     roll: float = 0.0
     shape: str = "square"
     size: float = 2.0
+    bar: float = BAR
 
     def __post_init__(self) -> None:
         find_choice("shape of a gate", self.shape, SIDES)
@@ -58,6 +60,7 @@ class Gate:
         finite("roll of a gate", self.roll)
         if finite("size of a gate", self.size, 0, 100) == 0:
             raise ValueError("size of a gate is 0 m: above 0 is needed")
+        finite("bar of a gate", self.bar, 0.01, 10)
 
     @property
     def sides(self) -> int:
@@ -67,7 +70,7 @@ class Gate:
     @property
     def reach(self) -> float:
         """Distance of the frame's outer corners from the centre, m."""
-        return (self.size / 2 + BAR) / float(cos(math.pi / self.sides))
+        return (self.size / 2 + self.bar) / float(cos(math.pi / self.sides))
 
     @property
     def quaternion(self) -> tuple[float, float, float, float]:
@@ -86,8 +89,8 @@ def reverse_gate(gate: Gate) -> Gate:
 
 def make_gate_frame(gate: Gate) -> list[Obstacle]:
     """Return the bars of a gate's frame, one per side; they overlap at the corners."""
-    length = 2 * (gate.size / 2 + BAR) * float(tan(math.pi / gate.sides))
-    return [Obstacle("box", (BAR, BAR, length), ORANGE)] * gate.sides
+    length = 2 * (gate.size / 2 + gate.bar) * float(tan(math.pi / gate.sides))
+    return [Obstacle("box", (gate.bar, gate.bar, length), ORANGE)] * gate.sides
 
 
 def bar_poses(gates: Sequence[Gate]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -101,7 +104,7 @@ def bar_poses(gates: Sequence[Gate]) -> tuple[np.ndarray, np.ndarray, np.ndarray
     gate_index = np.repeat(np.arange(len(gates)), sides)
     side = np.arange(len(gate_index)) - np.repeat(np.cumsum(sides) - sides, sides)
     angle = (2 * np.pi * side / sides[gate_index])[:, None]
-    out = (np.array([gate.size for gate in gates])[gate_index, None] + BAR) / 2
+    out = np.array([(gate.size + gate.bar) / 2 for gate in gates])[gate_index, None]
     axis = gate_axes(gates)[gate_index]
     offset = out * (cos(angle) * axis[:, 1] + sin(angle) * axis[:, 2])
     # The gate's rotation composed with one about its x axis

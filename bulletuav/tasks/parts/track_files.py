@@ -23,19 +23,20 @@ from bulletuav.errors import (
 from bulletuav.geometry.rotation import axes
 from bulletuav.parsing import parse_number, read_json, read_toml, read_yaml
 from bulletuav.tasks.parts.gates import Gate, reverse_gate
+from bulletuav.tasks.parts.other_tracks import translate_track
 
 MAX_PASSAGES = 200
 """Maximum number of gates, and of passages in a lap"""
 DIRECTIONS = ("yaw", "heading", "direction", "quaternion")
 """Fields for the direction of flight, of which a gate has one at most"""
-GATE_FIELDS = ("position", *DIRECTIONS, "pitch", "roll", "shape", "size", "name")
+GATE_FIELDS = ("position", *DIRECTIONS, "pitch", "roll", "shape", "size", "bar", "name")
 """Fields of a gate in a file; only `position` is required"""
 TRACK_FIELDS = ("gates", "order")
 VECTORS = {"position": ("x", "y", "z"), "quaternion": ("qx", "qy", "qz", "qw")}
 VECTORS |= {"direction": ("dx", "dy", "dz")}
 """Columns of a CSV file that form a field"""
 TEXTS = ("shape", "name")
-NUMBERS = ("yaw", "heading", "pitch", "roll", "size")
+NUMBERS = ("yaw", "heading", "pitch", "roll", "size", "bar")
 COLUMNS = (*(name for names in VECTORS.values() for name in names), *NUMBERS, *TEXTS)
 """Columns of a CSV file"""
 LEVEL = 1e-9
@@ -55,7 +56,7 @@ def read_track(path: Path, default_of: Callable[[int], Mapping[str, Any]]) -> tu
     Raises:
         ValueError: If the file is not a valid track; the message names the file and the gate.
     """
-    track = TRACK_READERS[path.suffix.lower()](path)
+    track = translate_track(path, TRACK_READERS[path.suffix.lower()](path))
     if isinstance(track, list):
         track = {"gates": track}
     if not isinstance(track, dict):

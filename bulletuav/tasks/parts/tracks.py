@@ -9,7 +9,7 @@ import numpy as np
 from bulletuav.compiled.functions import atan2, cos, hypot, sin
 from bulletuav.errors import find_choice, require_file, shown, unknown
 from bulletuav.tasks.parts.gate_frames import do_intersect, find_frames, make_bars
-from bulletuav.tasks.parts.gates import BAR, Gate, gate_axes
+from bulletuav.tasks.parts.gates import Gate, gate_axes
 from bulletuav.tasks.parts.track_files import TRACK_READERS, read_track
 from bulletuav.vehicle.airframes import URDF_FOLDER
 
@@ -194,8 +194,9 @@ def find_track_error(
             offset = np.subtract(gate.position, gates[other].position)
             if (offset**2).sum() < apart**2 and do_intersect(*bars[k], *bars[other]):
                 return (
-                    f"{_label(gates, other)} and {label} overlap, with bars {BAR:g} m thick: move "
-                    f"one, make its size smaller, or use equal poses if they are one gate"
+                    f"{_label(gates, other)} and {label} overlap, with bars {gate.bar:g} m thick: "
+                    f"move one, make its size or bar smaller, or use equal poses if they are one "
+                    f"gate"
                 )
     return None
 
@@ -225,7 +226,7 @@ def find_spacing_error(
     block = np.sqrt(((start[:, None] - middle) ** 2).sum(axis=-1)).min(axis=0)
     for k, gate in enumerate(gates):
         label = _label(gates, k)
-        if (found := _narrow_or_low(gate, label, radius, BAR, MIN_CLEARANCE)) is not None:
+        if (found := _narrow_or_low(gate, label, radius, gate.bar, MIN_CLEARANCE)) is not None:
             return found
         if (gap[k] < apart[k]).any():
             other = int((gap[k] < apart[k]).argmax())
