@@ -127,7 +127,12 @@ def _why_none(report: ImportReport) -> str:
     others = ", ".join(
         f"{count} {kind}" for kind, count in islice(report.others.items(), FIRST_SHOWN)
     )
-    found = [report.summary(), others and f"there are only features of other kinds ({others})"]
+    first = next((note.what for note in report.notes if note.kind == "skipped"), "")
+    found = [
+        report.summary(),
+        first,
+        others and f"there are only features of other kinds ({others})",
+    ]
     return "".join(f": {one}" for one in found if one)
 
 

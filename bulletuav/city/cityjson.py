@@ -218,8 +218,12 @@ def _ring(ring: Any, vertices: np.ndarray) -> np.ndarray:
     index = np.array(ring)
     if index.ndim != 1 or index.dtype.kind not in "iu" or len(index) < 3:
         raise ValueError(f"a ring is {shown(ring)}: three numbers of vertices, or more, are needed")
-    if index.min() < 0 or index.max() >= len(vertices):
-        raise ValueError(f"a ring is {shown(ring)}, and there are {len(vertices)} vertices")
+    outside = index[(index < 0) | (index >= len(vertices))]
+    if len(outside):
+        raise ValueError(
+            f"a ring has the vertex {outside[0]}, and there are {len(vertices)}, from 0 on: write "
+            f"the file again"
+        )
     corners: np.ndarray = vertices[index]
     return corners
 

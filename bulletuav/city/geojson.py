@@ -25,7 +25,10 @@ MIN_AREA = 1e-18
 
 OTHERS = ("Point", "MultiPoint", "LineString", "MultiLineString", "GeometryCollection")
 """Geometry types that are not footprints"""
-NONE_OF = "not a FeatureCollection (GeoJSON), Overpass JSON with `elements`, or CityJSON"
+NONE_OF = (
+    "not a FeatureCollection, Feature, Polygon or MultiPolygon (GeoJSON), Overpass JSON with "
+    "`elements`, or CityJSON"
+)
 COVERED = 0.9
 """Minimum fraction of an outline that its parts must cover to avoid a warning"""
 
@@ -61,11 +64,11 @@ def from_geojson(
 ) -> City:
     """Read a city from GeoJSON, Overpass JSON or CityJSON.
 
-    GeoJSON is a FeatureCollection of building footprints, which are Polygons or MultiPolygons. They
-    are cut into convex pieces; courtyards stay open. Coordinates are degrees of longitude and
-    latitude (RFC 7946), or have a member `crs`. They are projected around the centre of all
-    footprints such that meridians and the central parallel keep their length. The function requires
-    the extra `city`.
+    GeoJSON is a FeatureCollection of building footprints, which are Polygons or MultiPolygons, or
+    one Feature or footprint alone. They are cut into convex pieces; courtyards stay open.
+    Coordinates are degrees of longitude and latitude (RFC 7946), or have a member `crs`. They are
+    projected around the centre of all footprints such that meridians and the central parallel keep
+    their length. The function requires the extra `city`.
 
     Overpass JSON has `elements`, with the geometries of `out geom` or the nodes of ways. CityJSON
     is read by `cityjson.read_buildings`.
@@ -144,12 +147,19 @@ def _features(path: Path, content: Mapping[str, Any], notes: Notebook) -> Iterat
     """Yield the features of GeoJSON or Overpass JSON."""
     if isinstance(content.get("elements"), list):
         if "remark" in content:
-            notes.add("skipped", "remark", f"the server reports {shown(content['remark'])}")
+            remedy = "query a smaller area, or with a longer [timeout:...] or larger [maxsize:...]"
+            report = f"the server reports {shown(content['remark'])}, so that data may be missing"
+            notes.add("skipped", "remark", f"{report}: {remedy}")
         yield from read_elements(content["elements"])
         return
-    if not isinstance(content.get("features"), list):
+    listed = content.get("features")
+    if content.get("type") == "Feature":
+        listed = [content]
+    elif content.get("type") in ("Polygon", "MultiPolygon"):
+        listed = [{"type": "Feature", "properties": {}, "geometry": content}]
+    if not isinstance(listed, list):
         raise ValueError(f"{path} is {NONE_OF}")
-    for k, feature in enumerate(content["features"]):
+    for k, feature in enumerate(listed):
         known = feature if isinstance(feature, dict) else {}
         tags = read_tags(known.get("properties"))
         yield Feature(f"feature {k} (from 0)", tags, known.get("geometry"))

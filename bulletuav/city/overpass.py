@@ -100,7 +100,8 @@ def _line(element: Mapping[str, Any], by_id: Mapping[tuple[str, str], Any]) -> l
         return [_place(place) for place in element["geometry"]]
     nodes = element.get("nodes")
     if not isinstance(nodes, list) or not nodes:
-        raise ValueError(f"it has no geometry: {OUTPUT}")
+        which = "its centre only" if "center" in element else "no geometry"
+        raise ValueError(f"it has {which}: {OUTPUT}")
     return [_place(by_id.get(("node", str(node))), f"its node {shown(node)}") for node in nodes]
 
 
@@ -134,6 +135,8 @@ def _multipolygon(element: Mapping[str, Any], by_id: _Elements) -> dict[str, Any
     for member in _members(element):
         # `out geom` has the geometry in the member, `out body` in an element of its own
         has_own = isinstance(member.get("geometry"), list)
+        if not has_own and "center" in element:
+            raise ValueError(f"it has its centre only: {OUTPUT}")
         way = member if has_own else by_id.get(("way", str(member.get("ref"))))
         if way is None:
             raise ValueError(f"its way {shown(member.get('ref'))} is not in the file: {OUTPUT}")

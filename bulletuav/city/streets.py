@@ -72,8 +72,8 @@ def free_streets(
     free = outdoors(points, margin).all(axis=0)
     if not free.any():
         raise ValueError(
-            f"there is no space for streets between the buildings of a city of {side:g} m: "
-            f"increase side"
+            f"there is no space for streets between the buildings of a city of {side:g} m: set "
+            f"side to {side + 2 * spacing + 2 * margin:.0f} m or more, to have ground around them"
         )
     return _connected(nodes, edges[free])
 

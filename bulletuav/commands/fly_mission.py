@@ -55,8 +55,10 @@ def run(arguments: argparse.Namespace, prepare_folder: Callable[[Path], None]) -
             "--animation has no effect on a mission: omit it, and use bulletuav replay for films"
         )
     as_int("seed", arguments.seed, 0)
-    mission = read_mission(arguments.mission, arguments.home)
     options = given_options(arguments)
+    if "num_drones" in options:
+        raise ValueError("--drones has no effect on a mission, which one drone flies: omit it")
+    mission = read_mission(arguments.mission, arguments.home)
     airframe = options.pop("airframe", "iris")
     with MissionFlight(
         mission, airframe, speed=arguments.speed, seed=arguments.seed, **options

@@ -164,6 +164,12 @@ class Schedule:
             raise ValueError(
                 f"drone of an event is {event.drone}: from 0 to {num_drones - 1} is needed"
             )
+        end = parts.options.horizon / parts.options.decision_hz
+        if event.time_bounds[0] >= end:
+            raise ValueError(
+                f"time of an event is {shown(event.time)} s, and episodes end after {end:g} s: "
+                f"lower it, or raise horizon"
+            )
         rows = event.drone if isinstance(event.drone, int) else slice(None)
         if event.charge is not None and parts.options.battery_capacity is None:
             raise ValueError(

@@ -192,7 +192,10 @@ def read_log(path: str | Path, sources: Mapping[str, ColumnSource], num_rotors: 
             places = {source.column: header.index(source.column) for source in wanted.values()}
             table = parse_rows(found, reader, len(header), places)
     except UnicodeDecodeError:
-        raise ValueError(f"{found} is not text in UTF-8: export the log as CSV") from None
+        raise ValueError(
+            f"{found} is neither text in UTF-8 nor a known log (its first bytes are of none): copy "
+            f"it again, or export the log as CSV"
+        ) from None
     except csv.Error as error:
         raise ValueError(
             f"{found} is not a CSV file: {error}; is a quotation mark missing?"
@@ -289,7 +292,10 @@ def select_columns(
     Raises:
         ValueError: If required columns are missing.
     """
-    known = {name: ColumnSource(name) for name in NAMES if name in header} | dict(sources)
+    # Names in another case, such as X or Roll, are the same columns
+    like = {name.lower(): name for name in reversed(header)}
+    like |= {name: name for name in header}
+    known = {name: ColumnSource(like[name]) for name in NAMES if name in like} | dict(sources)
     for name, source in known.items():
         if source.column not in header:
             raise ValueError(

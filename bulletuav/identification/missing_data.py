@@ -57,7 +57,10 @@ def check_times(log: Log) -> None:
         )
     if median > 1 / MIN_SAMPLE_RATE:
         raise log_error(
-            log, f"t has {1 / median:.1f} rows a second: at least {MIN_SAMPLE_RATE:g} are needed"
+            log,
+            f"t has {1 / median:.1f} rows a second: at least {MIN_SAMPLE_RATE:g} are needed; "
+            f"record faster, such as by SDLOG_PROFILE of PX4, a RecordInterval of at most "
+            f"{1 / MIN_SAMPLE_RATE:g} s of AirSim, or a higher rate of the topics",
         )
     if time[-1] - time[0] < MIN_DURATION:
         raise log_error(

@@ -301,6 +301,7 @@ def test_command_flies_and_reports(save, tmp_path, capsys):
         (["hover", "--speed", "3"], "--speed and --home apply to missions"),
         (["hover", "--mission", "x.plan"], "task has no effect on a mission"),
         (["--mission", "x.plan", "--live"], "live has no effect on a mission"),
+        (["--mission", "x.plan", "--drones", "3"], "--drones has no effect on a mission"),
         (["--mission", "x.plan", "--animation", "gif"], "--animation has no effect"),
         (["--mission", "x.plan", "--seed", "-1"], "seed is -1"),
     ],

@@ -106,8 +106,10 @@ def test_obj_that_does_not_fit(tmp_path):
 
 
 def test_a_city_without_free_ground(geojson):
-    with pytest.raises(ValueError, match="no space for streets .* 10 m: increase side"):
-        from_geojson(geojson(feature([[0, 0], [10, 0], [10, 10], [0, 10], [0, 0]])), metres=True)
+    block = geojson(feature([[0, 0], [10, 0], [10, 10], [0, 10], [0, 0]]))
+    with pytest.raises(ValueError, match="no space for streets .* 10 m: set side to 42 m or more"):
+        from_geojson(block, metres=True)
+    assert len(from_geojson(block, metres=True, side=42.0).streets.edges) > 0
 
 
 def test_footprints_in_metres(geojson):

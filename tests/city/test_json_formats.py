@@ -206,8 +206,32 @@ def test_a_remark_of_the_server_is_reported(tmp_path):
     remark = "runtime error: Query timed out"
     path = write(tmp_path, overpass(*NODES, way(10, 1, 2, 3, 4, 1, **YES), remark=remark))
     assert remark in read(path).report.notes[0].what
-    with pytest.raises(ValueError, match="Query timed out"):
+    with pytest.raises(ValueError, match="Query timed out.*query a smaller area, or with a longer"):
         read(path, strict=True)
+
+
+def test_centres_alone_name_the_output_that_is_needed(tmp_path):
+    """As of `out center;`."""
+    centre = {"lat": 48.0, "lon": 9.0}
+    lone = {"type": "way", "id": 3, "center": centre, "tags": YES, "nodes": []}
+    many = {**relation(4, {3: "outer"}, type="multipolygon", **YES), "center": centre}
+    for element in (lone, many):
+        with pytest.raises(ValueError, match=r"its centre only: query the data with `out geom;`"):
+            read(write(tmp_path, overpass(element)), strict=True)
+        with pytest.raises(ValueError, match=r"contains no buildings.*`out geom;`"):
+            read(write(tmp_path, overpass(element)))
+
+
+@pytest.mark.parametrize("kind", ["Polygon", "MultiPolygon", "Feature"])
+def test_a_feature_or_footprint_alone_is_read(tmp_path, kind):
+    whole = collection(LOT)
+    feature = whole["features"][0]
+    content = feature if kind == "Feature" else feature["geometry"]
+    if kind == "MultiPolygon":
+        content = {"type": kind, "coordinates": [feature["geometry"]["coordinates"]]}
+    city = read(write(tmp_path, content), metres=True, default_height=8.0)
+    expected = read(write(tmp_path, whole), metres=True)
+    np.testing.assert_array_equal(city.solids.boxes, expected.solids.boxes)
 
 
 # CityJSON
@@ -346,8 +370,8 @@ def test_files_that_are_no_cityjson(tmp_path, change, message):
 @pytest.mark.parametrize(
     ("odd", "message"),
     [
-        (building([[[[0, 1, 99]]]]), "a ring is .* and there are 8 vertices"),
-        (building([[[[0, 1, -1]]]]), "there are 8 vertices"),
+        (building([[[[0, 1, 99]]]]), "a ring has the vertex 99, and there are 8, from 0 on"),
+        (building([[[[0, 1, -1]]]]), "a ring has the vertex -1, and there are 8"),
         (building([[[[0, 1]]]]), "a ring is"),
         (building([[[[0, 1, 0.5]]]]), "a ring is"),
         (building([[["abc"]]]), "a ring is"),

@@ -360,6 +360,7 @@ def test_a_run_with_events_is_recorded_and_verified(tmp_path):
         ([{"time": 1.0, "drone": 3, "added_mass": 0.01}], "drone of an event is 3: from 0 to 2"),
         ([{"time": 1.0, "drone": "any", "added_mass": 0.01}], "random"),
         ([{"time": 1.0, "drone": 0, "wind": (1, 0, 0)}], "leave out drone"),
+        ([{"time": 1e4, "added_mass": 0.01}], "time of an event is 10000.* lower it, or raise hor"),
         ([{"time": 1.0, "wind": (1, 0, 1000)}], "from -100 to 100 m/s"),
         ([{"time": 1.0, "charge": 0.5}], "set battery_capacity"),
         ([{"time": 1.0, "charge": 1.5}], "charge of an event is"),

@@ -78,7 +78,10 @@ def test_a_sound_log_passes(check):
         (changed("x", 0.0), "x does not change"),
         (scaled(["t"], 1e3), r"t grows by 10 a row: seconds are needed; pass --map t=COLUMN\*ms"),
         (scaled(["t"], 1e6), r"--map t=COLUMN\*us"),
-        (circle()[::4], r"t has 25\.0 rows a second: at least 40"),
+        (
+            circle()[::4],
+            r"t has 25\.0 rows a second: at least 40 .*RecordInterval of at most 0\.025 s",
+        ),
         (circle()[:300], r"lasts 2\.99 s: at least 5 s"),
         (scaled(["qx", "qy", "qz", "qw"], 0.5), r"norm of 0\.5"),
         (scaled(["p", "q", "r"], 180 / np.pi), r"p is 57\.\d times .*--map p=p\*deg"),
@@ -169,10 +172,20 @@ def test_files_that_are_no_logs(tmp_path):
         with pytest.raises(ValueError, match=message):
             read_log(path, {}, 4)
     path.write_bytes(b"\xff\xfe\x00t")
-    with pytest.raises(ValueError, match="UTF-8"):
+    with pytest.raises(ValueError, match="neither text in UTF-8 nor a known log.*copy it again"):
         read_log(path, {}, 4)
     with pytest.raises(FileNotFoundError, match="no log file"):
         read_log(tmp_path / "none.csv", {}, 4)
+
+
+def test_columns_in_another_case_are_read(check):
+    names = [name.upper() for name in flown.COLUMNS]
+    log = check(circle(), names)
+    assert log.used["x"] == "X"
+    np.testing.assert_array_equal(log.columns["qw"], check(circle()).columns["qw"])
+    # A column of the very name comes first
+    both = np.column_stack([circle(), np.arange(len(circle()))])
+    assert check(both, [*flown.COLUMNS, "X"]).used["x"] == "x"
 
 
 def test_a_drone_that_stands_does_not_fly(check):

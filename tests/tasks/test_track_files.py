@@ -58,6 +58,7 @@ def test_all_formats_are_the_same_track(tmp_path):
         "a.yaml": yaml.safe_dump({"gates": gates}),
         "a.yml": yaml.safe_dump(gates),
         "a.csv": rows,
+        "case.csv": rows.replace("x,y,z,yaw,pitch,shape,size", "X,Y,Z,Yaw,PITCH,Shape,Size"),
         "semicolons.csv": "\ufeff" + rows.replace(",", ";").replace("\n", "\r\n"),
     }
     for name, content in files.items():

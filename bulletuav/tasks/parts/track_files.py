@@ -190,7 +190,7 @@ def read_csv(path: Path) -> list[dict[str, Any]]:
         rows = list(csv.reader(io.StringIO("\n".join(lines)), delimiter=separator))
     except csv.Error as error:
         raise ValueError(f"track {path} is not valid CSV: {error}") from None
-    names = [name.strip() for name in rows[0]] if rows else []
+    names = [name.strip().lower() for name in rows[0]] if rows else []
     for name in names:
         if name not in COLUMNS or names.count(name) > 1:
             raise ValueError(
