@@ -315,7 +315,10 @@ def select_columns(
             needed += group
     lacking = [name for name in needed if name not in known]
     if lacking:
-        hints = "; ".join(f"{name}: {_hint(name, header)}" for name in lacking[:4])
+        of_hint: dict[str, list[str]] = {}
+        for name in lacking[:4]:
+            of_hint.setdefault(_hint(name, header), []).append(name)
+        hints = "; ".join(f"{', '.join(names)}: {hint}" for hint, names in of_hint.items())
         advice = advice or (f"Name them in the header, or map them by --map {lacking[0]}=COLUMN")
         raise ValueError(f"{path} lacks the columns {', '.join(lacking)} ({hints}). {advice}")
     return {name: known[name] for name in needed}

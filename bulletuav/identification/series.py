@@ -158,7 +158,10 @@ def merge_series(
         scaled = source.factor * values + source.offset
         converted[name] = (series, Converted(scaled, (source.column,)))
     present = ", ".join(columns if len(listed) == 1 else (series.topic for series in listed))
-    advice = f"The log has {present[:MAX_HINT_LENGTH] or 'no topics'}: {advice}"
+    unread = f"; not read: {', '.join(notes)[:MAX_HINT_LENGTH]}" if notes else ""
+    advice = (
+        f"The log has {present[:MAX_HINT_LENGTH] or 'no topics that are read'}: {advice}{unread}"
+    )
     names = select_columns(path, ["t", *converted, *columns], {}, len(airframe.rotors), advice)
     used = {name: converted[name] for name in names if name != "t"}
     time = _find_clock(path, used)

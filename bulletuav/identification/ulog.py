@@ -73,8 +73,7 @@ def read_ulog(path: Path, sources: Mapping[str, ColumnSource], airframe: Airfram
     all_series = [_convert(series, airframe) for series in read]
     rank = {topic: k for k, topic in enumerate(PRIORITY)}
     all_series.sort(key=lambda series: rank.get(series.topic, len(rank)))
-    lost = f"; the file has {' and '.join(notes)}" if notes else ""
-    return merge_series(path, all_series, sources, airframe, ADVICE + lost, notes)
+    return merge_series(path, all_series, sources, airframe, ADVICE, notes)
 
 
 def _read_series(path: Path) -> tuple[list[Series], list[str]]:

@@ -277,6 +277,21 @@ def test_battery_without_a_current_and_slow_battery(tmp_path):
     assert "battery_status.current_a" in found.unused
 
 
+def test_topics_that_are_not_read_and_equal_hints_are_named(tmp_path):
+    """As bags of transforms alone."""
+    store = get_typestore(Stores.ROS1_NOETIC)
+    with Writer1(tmp_path / "tf.bag") as writer:
+        text = "std_msgs/msg/String"
+        link = writer.add_connection("/note", text, typestore=store)
+        writer.write(link, 0, store.serialize_ros1(store.types[text]("a"), text))
+    with pytest.raises(ValueError, match=r"has no topics that are read: .*; not read: /note$"):
+        read_flight_log(tmp_path / "tf.bag", {}, DRONE)
+    names = ["fixedFrequency", ["acc.a(f)"]]
+    path = save(tmp_path, usd_bytes(2, [(1, *names)], struct.pack("<HQf", 1, 0, 0)))
+    with pytest.raises(ValueError, match=r"\(x, y, z, qx: choose from acc.a, t\)"):
+        read_flight_log(path, {}, DRONE)
+
+
 def test_missing_topics_are_named(tmp_path):
     path = px4(tmp_path)
     with pytest.raises(ValueError, match="lacks the columns w1, w2, w3, w4") as caught:
@@ -356,13 +371,13 @@ def damage():
         "ulog offsets": (Ulog(b"\1" + bytes(7), (9**9, 0, 0)).data, "lacks the columns"),
         "ulog noise": (b"ULog" + np.random.default_rng(1).bytes(5000), "Failed to parse header"),
         "ulog noisy": (plain[:16] + np.random.default_rng(1).bytes(5000), "damaged"),
-        "ulog cut": (plain[:-3], "the file has an incomplete message at its end"),
+        "ulog cut": (plain[:-3], "not read: an incomplete message at its end"),
         "ulog bomb": (bomb.data, "need too much memory"),
         "ulog empty": (empty.data, "lacks the columns"),
         "ulog loop": (loop.data, "maximum recursion depth"),
-        "ulog huge": (huge.data, "the file has damaged messages"),
+        "ulog huge": (huge.data, "not read: damaged messages"),
         "ulog wide": (wide.data, "need too much memory"),
-        "ulog short": (short.data, "the file has damaged messages"),
+        "ulog short": (short.data, "not read: damaged messages"),
         "ulog unknown": (unknown.data, "lacks the columns"),
         "ulog clock": (no_clock.data, "a has no timestamp"),
         "usd empty": (b"\xbc", "damaged log of a micro-SD"),
