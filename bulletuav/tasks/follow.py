@@ -6,7 +6,7 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 
-from bulletuav.compiled.functions import atan2, cos, hypot, sin
+from bulletuav.compiled.functions import cos, sin
 from bulletuav.errors import find_choice
 from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.registry import register
@@ -18,11 +18,10 @@ from bulletuav.tasks.ingredients import reward
 from bulletuav.tasks.parts.base import Rngs
 from bulletuav.tasks.parts.holding import Holding
 from bulletuav.tasks.parts.safety import Safety
+from bulletuav.tasks.parts.wandering import Wanderer
 from bulletuav.tasks.rewards.station import speed_to_goal
 from bulletuav.tasks.starts import check_overlap, check_start_distance
 
-TURN_ACCELERATION = 3.0
-"""Maximum lateral acceleration of targets, m/s^2: that of a car in a curve"""
 RED = (0.75, 0.2, 0.15, 1.0)
 """Colour of targets, RGBA"""
 
@@ -58,7 +57,7 @@ class FollowConfig(TaskConfig):
         target: Kind of target: "vehicle" or "drone".
         target_speed: Speed of the target, m/s.
         turn: Standard deviation of the random change of the target's course after one second, rad.
-            The heading follows the course as fast as TURN_ACCELERATION allows.
+            The heading follows the course as fast as a car could, see `Wanderer`.
         arena: Distance from the start at which the target turns back, m.
         distance: Radius of the circle of stations around the target, m.
         start_offset: Maximum offset of a start from its station on each axis, m.
@@ -91,12 +90,6 @@ def lost(
 ) -> float:
     """Count the remaining decisions when the drone's episode terminates."""
     return (duration - time) / period if collision or distance > max_distance else 0.0
-
-
-def angle_between(first: float, second: float) -> float:
-    """Return the signed angle from one heading to another, from -pi to pi, rad."""
-    turn = second - first
-    return turn - 2 * np.pi * round(turn / (2 * np.pi))
 
 
 @register("task")
@@ -199,8 +192,9 @@ class Follow(Task[FollowConfig]):
         self._station = circle + np.array((0, 0, target.station_height))
         self._check_start(target)
         check_start_distance(config.max_distance, config.start_offset)
-        half_circle = 2 * config.target_speed**2 / TURN_ACCELERATION
-        half_side = config.arena + half_circle + config.distance + config.max_distance
+        motion = (config.target_speed, config.turn, config.arena, context.period)
+        self._wanderer = Wanderer(*motion)
+        half_side = self._wanderer.reach() + config.distance + config.max_distance
         top = self._height + target.station_height + config.max_distance
         self.arena_low = np.array([-half_side, -half_side, 0.0])
         self.arena_high = np.array([half_side, half_side, top])
@@ -262,21 +256,9 @@ class Follow(Task[FollowConfig]):
         Returns:
             True, as the target moves.
         """
-        config = self.config
-        period, course = self.context.period, scene.memory["course"]
-        max_turn = TURN_ACCELERATION * period / max(config.target_speed, period)
         for w in np.flatnonzero(flying).tolist():
-            x, y, _ = scene.obstacle[w, 0]
-            vx, vy, _ = scene.obstacle_velocity[w, 0]
-            # A random walk, except at the edge; the heading follows at a limited rate
-            course[w] += config.turn * np.sqrt(period) * rngs[w].standard_normal()
-            if hypot(x, y) > config.arena and x * vx + y * vy > 0:
-                course[w] = atan2(-y, -x)
-            heading = atan2(vy, vx)
-            heading += min(max(angle_between(heading, course[w]), -max_turn), max_turn)
-            direction = np.array([cos(heading), sin(heading), 0.0])
-            scene.obstacle_velocity[w, 0] = config.target_speed * direction
-            scene.obstacle[w, 0] += period * scene.obstacle_velocity[w, 0]
-            scene.goal[w] = scene.obstacle[w, 0] + self._station
-            scene.goal_velocity[w] = scene.obstacle_velocity[w, 0]
+            position, velocity = scene.obstacle[w, 0], scene.obstacle_velocity[w, 0]
+            self._wanderer.move(position, velocity, scene.memory["course"], w, rngs[w])
+            scene.goal[w] = position + self._station
+            scene.goal_velocity[w] = velocity
         return True

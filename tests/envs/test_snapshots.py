@@ -59,6 +59,7 @@ CASES = {
     "mobile_users": {"num_layouts": 1, "area": 250.0},
     "lidar_navigation": {"num_layouts": 2, "area": 250.0, "leg": 60.0},
     "pursuit_evasion": {"difficulty": "hard"},
+    "flocking": {"difficulty": "extreme", "num_drones": 6, "leader_turn": 0.5},
     "formation": {"num_drones": 4, "change_every": 2.0, "assignment": "free"},
     "race": {"difficulty": "extreme", "num_drones": 3, "contact_ends": "nothing"},
 }
