@@ -1,4 +1,4 @@
-"""City model: buildings on flat ground, streets, and spatial queries."""
+"""City model: buildings or trees, ground, streets, and spatial queries."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -6,6 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
+from bulletuav.city.heightfield import Heightfield
 from bulletuav.city.import_report import ImportReport
 from bulletuav.city.streets import Streets
 from bulletuav.errors import finite, numbers_of, shown
@@ -19,22 +20,26 @@ UPRIGHT = 1e-9
 """Facets with a smaller z component of the unit normal are walls"""
 HEADROOM = 2.0
 """Minimum height of an underside above which the ground does not count as built up, m"""
+GROUND = -1
+"""Index of the building of pieces that are hills"""
 
 
 @dataclass(frozen=True, eq=False)
 class City:
-    """Buildings of convex pieces on the flat ground z = 0, around the origin.
+    """Buildings of convex pieces on flat ground, or trees on hills, around the origin.
 
-    x is east, y north, z up, in metres.
+    x is east, y north, z up, in metres. Flat ground is at z = 0. A tree is a building of two pieces.
 
     Attributes:
         name: Name of the kind or file.
         side: Length of the ground along x, m.
         solids: The pieces.
-        building: (P,) int, index of the building of each piece.
+        building: (P,) int, index of the building of each piece; `GROUND` for hills.
         streets: Street graph.
         depth: Length of the ground along y, m; None for a square.
         report: Import report; None for a city that was not imported.
+        ground: Hills; None for flat ground.
+        is_terrain: Whether the buildings are trees.
     """
 
     name: str
@@ -44,6 +49,8 @@ class City:
     streets: Streets
     depth: float | None = None
     report: ImportReport | None = None
+    ground: Heightfield | None = None
+    is_terrain: bool = False
 
     @cached_property
     def sides(self) -> np.ndarray:
@@ -53,16 +60,27 @@ class City:
     @cached_property
     def heights(self) -> np.ndarray:
         """(B,) height of each building's highest point, m."""
-        heights = np.zeros(self.building.max(initial=-1) + 1)
-        tops = self.solids.bounds[:, 1, 2]
-        np.maximum.at(heights, self.building, tops)
+        owner = self.building[self.building != GROUND]
+        heights = np.zeros(owner.max(initial=-1) + 1)
+        tops = self.raised.bounds[:, 1, 2]
+        np.maximum.at(heights, owner, tops)
         return heights
 
     @cached_property
+    def raised(self) -> Solids:
+        """The pieces that are not hills, in the same order."""
+        if self.ground is None:
+            return self.solids
+        first = len(self.solids.boxes)
+        owners = self.building.tolist()
+        hulls = zip(self.solids.hulls, owners[first:], strict=True)
+        return Solids(self.solids.boxes, tuple(hull for hull, owner in hulls if owner != GROUND))
+
+    @cached_property
     def footprints(self) -> list[np.ndarray]:
-        """(V, 2) corners of the footprint of each piece, counter-clockwise, m."""
-        of_boxes = [box_corners(box)[[0, 1, 3, 2], :2] for box in self.solids.boxes]
-        of_hulls = [_outline(hull[:, :2]) for hull in self.solids.hulls]
+        """(V, 2) corners of the footprint of each piece except hills, counter-clockwise, m."""
+        of_boxes = [box_corners(box)[[0, 1, 3, 2], :2] for box in self.raised.boxes]
+        of_hulls = [_outline(hull[:, :2]) for hull in self.raised.hulls]
         return of_boxes + of_hulls
 
     @cached_property
@@ -72,21 +90,47 @@ class City:
         Pieces that begin at least 2 m above the ground do not count; the areas of other overlapping
         pieces are added.
         """
-        start, edge = (ends[self.solids.bounds[:, 0, 2] < HEADROOM] for ends in self._walls)
+        start, edge = (ends[self.headroom < HEADROOM] for ends in self._walls)
         # Shoelace formula: twice the area of each footprint
         forward = start[..., 0] * edge[..., 1]
         backward = start[..., 1] * edge[..., 0]
         double = forward - backward
         return float(double.sum() / 2 / self.sides.prod())
 
-    def outdoors(self, points: np.ndarray, margin: float = 0.0) -> np.ndarray:
+    @cached_property
+    def headroom(self) -> np.ndarray:
+        """(P,) height of the underside of each piece except hills above the ground, m."""
+        low, high = self.raised.bounds.swapaxes(0, 1)
+        below: np.ndarray = low[:, 2] - self.surface((low + high) / 2)
+        return below
+
+    def surface(self, points: np.ndarray) -> np.ndarray:
+        """Return the height of the ground above or below points; 0 in a city and on flat ground.
+
+        Args:
+            points: (..., 2 or 3) points, m; z is ignored.
+
+        Returns:
+            (...,) m.
+
+        Raises:
+            ValueError: If the points are not finite numbers of that shape.
+        """
+        plan = _plan(points)
+        return np.zeros(plan.shape[:-1]) if self.ground is None else self.ground.height(plan)
+
+    def outdoors(
+        self, points: np.ndarray, margin: float = 0.0, headroom: float = np.inf
+    ) -> np.ndarray:
         """Return which points are farther from all footprints than a margin.
 
-        The ground below elevated parts is not outdoors.
+        The ground below elevated parts, such as crowns of trees, is not outdoors by default. Hills
+        have no footprints.
 
         Args:
             points: (..., 2 or 3) points, m; z is ignored.
             margin: Margin, m.
+            headroom: Pieces whose underside is at least this high above the ground do not count, m.
 
         Returns:
             (...,) bool.
@@ -97,7 +141,9 @@ class City:
         plan = _plan(points)
         margin = finite("margin", margin)
         free = np.ones(plan[..., 0].size, dtype=bool)
-        point, _, _ = self._near(plan.reshape(-1, 2), margin)
+        point, piece, _ = self._near(plan.reshape(-1, 2), margin)
+        if headroom < np.inf:
+            point = point[self.headroom[piece] < headroom]
         free[point] = False
         return free.reshape(plan.shape[:-1])
 
@@ -122,20 +168,20 @@ class City:
         return nearest.reshape(plan.shape[:-1])
 
     def roof(self, points: np.ndarray) -> np.ndarray:
-        """Return the height of the highest roof above or below points.
+        """Return the height of the highest roof, tree or ground above or below points.
 
         Args:
             points: (..., 2 or 3) points, m; z is ignored.
 
         Returns:
-            (...,) heights, m; 0 outdoors.
+            (...,) heights, m; that of the ground outdoors.
 
         Raises:
             ValueError: If the points are not finite numbers of that shape.
         """
         plan = _plan(points)
         flat = plan.reshape(-1, 2)
-        top = np.zeros(len(flat))
+        top = self.surface(flat)
         point, piece, _ = self._near(flat, 0.0)
         # The top of a convex piece is the minimum of its upper planes
         facets = self._facets[piece]
@@ -156,9 +202,9 @@ class City:
     @cached_property
     def _facets(self) -> np.ndarray:
         """Planes z = a x + b y + c on top of each piece, (P, F, 3); padded with the last one."""
-        tops = self.solids.boxes[:, 1, 2]
+        tops = self.raised.boxes[:, 1, 2]
         of_boxes = [np.array([[0.0, 0.0, top]]) for top in tops]
-        of_hulls = [_top(hull) for hull in self.solids.hulls]
+        of_hulls = [_top(hull) for hull in self.raised.hulls]
         return _padded(of_boxes + of_hulls, 3)
 
     def _near(
@@ -171,8 +217,8 @@ class City:
         # Sort points by strips from west to east, then from south to north
         order = np.lexsort([plan[:, 1], np.floor(plan[:, 0] / STRIP)])
         groups = np.split(order, range(GROUP, len(order), GROUP))
-        west, south = self.solids.bounds[:, 0, :2].T - max_distance
-        east, north = self.solids.bounds[:, 1, :2].T + max_distance
+        west, south = self.raised.bounds[:, 0, :2].T - max_distance
+        east, north = self.raised.bounds[:, 1, :2].T + max_distance
         sides = np.stack([west, east, south, north])
         found = [self._near_group(plan, group, max_distance, sides) for group in groups]
         point, piece, distance = zip(*found, strict=True)

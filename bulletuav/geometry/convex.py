@@ -7,6 +7,7 @@ shape.
 
 import math
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -75,6 +76,13 @@ def _hull_faces(points: np.ndarray) -> tuple[np.ndarray, list[tuple[np.ndarray, 
     Raises:
         ValueError: If the points span no volume.
     """
+    return _compute_faces(np.asarray(points, dtype=float).tobytes())
+
+
+@lru_cache(4096)
+def _compute_faces(given: bytes) -> tuple[np.ndarray, list[tuple[np.ndarray, list[int]]]]:
+    """Compute `_hull_faces` of the bytes of points; the result is shared, and not to be changed."""
+    points = np.frombuffer(given).reshape(-1, 3)
     # Imported here because it is slow and most shapes need no hull
     from scipy.spatial import ConvexHull, QhullError
 

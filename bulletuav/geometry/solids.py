@@ -32,10 +32,13 @@ class Solids:
     Attributes:
         boxes: (B, 2, 3) low and high corner of each box, m.
         hulls: Points (V, 3), m, in any order, of each hull.
+        colours: (P, 3) red, green, blue of the pieces in pictures, from 0 to 255; None for the
+            colour of buildings.
     """
 
     boxes: np.ndarray
     hulls: tuple[np.ndarray, ...] = ()
+    colours: np.ndarray | None = None
 
     @cached_property
     def bounds(self) -> np.ndarray:

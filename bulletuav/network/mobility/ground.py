@@ -43,13 +43,20 @@ class Ground:
             cell: Edge length of the raster cells, m; narrower passages are closed.
 
         Raises:
-            ValueError: If there is no city, a city has no free cell, or a number is not positive.
+            ValueError: If there is no city, a city has hills or no free cell, or a number is not
+                positive.
         """
         for name, value in (("height", height), ("cell", cell)):
             if not finite(name, value) > 0:
                 raise ValueError(f"{name} is {value!r} m: a number above 0 is needed")
         if not cities:
             raise ValueError("cities is empty: at least one city is needed")
+        for city in cities:
+            if city.ground is not None:
+                raise ValueError(
+                    f"city {city.name!r} has hills, and users walk on flat ground only: "
+                    f"choose a city, or terrain with relief 0, such as 'forest'"
+                )
         self.height = height
         self.raster = rasterise(cities, cell)
         self._cities = tuple(cities)

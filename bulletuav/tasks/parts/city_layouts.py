@@ -15,6 +15,7 @@ from bulletuav.city.imports import READERS
 from bulletuav.city.model import City
 from bulletuav.city.statistics import KINDS, MAX_VALUES, Statistics, parameters
 from bulletuav.city.streets import Streets
+from bulletuav.city.terrain import TERRAINS, Terrain, find_terrain, generate_terrain
 from bulletuav.engine.tiles import TILE_PITCH
 from bulletuav.errors import as_sequence, find_choice, finite, shown
 from bulletuav.geometry.solids import Solids
@@ -26,6 +27,10 @@ from bulletuav.tasks.parts.base import Part
 
 RASTER_CELL = 4.0
 """Side of the cells of the raster from which positions are drawn, m"""
+TERRAIN_CELL = 1.0
+"""Side of these cells in terrain, where gaps between trees are narrower than streets, m"""
+STEEP = 1.5
+"""Minimum height of starts above slopes, in radii of a drone: more than 1 / cos(45 degrees)"""
 BUILDING_MARGIN = 1.0
 """Distance beyond its radius between a starting drone, or a goal, and buildings, m"""
 EDGE_MARGIN = 10.0
@@ -50,17 +55,21 @@ class CityOptions:
 
     Attributes:
         city: "suburban", "urban", "dense" or "high_rise"; "open" for none; (alpha, beta, gamma),
-            see `bulletuav.city.statistics.Statistics`; the path of a .geojson, .json or .obj
-            file; or a `City`.
+            see `bulletuav.city.statistics.Statistics`; "hills", "forest" or "wooded_hills"; a dict
+            that also sets numbers of the terrain, such as {"kind": "forest", "tree_density": 50},
+            see `bulletuav.city.terrain.Terrain`; the path of a .geojson, .json or .obj file; or a
+            `City`.
         area: Side of the city's square, or its lengths along x and y, m. Cities from files have
             their smallest bounding square.
-        irregularity: Irregularity of the city, from 0, a regular grid, to 1.
+        irregularity: Irregularity of the city, from 0, a regular grid, to 1; without effect in
+            terrain.
         num_layouts: Number of cities that are generated; each world has one of them per episode.
             Files give one.
         city_seed: Seed of the first city, the same for all worlds. Layout k is the city that
             `bulletuav city` generates with this seed + k.
-        height: Minimum and maximum height of starts and goals, m. They are outdoors.
-        ceiling: Maximum height of the airspace, m.
+        height: Minimum and maximum height of starts and goals above the ground, m. They are
+            outdoors.
+        ceiling: Maximum height of the airspace above the highest ground, m.
         min_separation: Minimum distance between starts, and between goals, m.
         obstacle_radius: Radius of the obstacles' bounding spheres, or its minimum and maximum, m:
             they have to fit into streets.
@@ -101,9 +110,11 @@ def make_cities(config: CityOptions) -> tuple[City, ...]:
     if isinstance(kind, Path) or ending in READERS:
         read = find_choice(f"kind of file for city {str(kind)!r},", ending, READERS)
         return (read(Path(kind)),)
-    if isinstance(kind, str):
-        find_choice("kind of city", kind, {**KINDS, OPEN: None})
-    else:
+    if isinstance(kind, Mapping):
+        kind = _given_terrain(kind)
+    elif isinstance(kind, str):
+        find_choice("kind of city", kind, {**KINDS, **TERRAINS, OPEN: None})
+    elif not isinstance(kind, Terrain):
         kind = _given_statistics(kind)
     if config.irregularity > 1:
         raise ValueError(
@@ -125,10 +136,14 @@ def make_cities(config: CityOptions) -> tuple[City, ...]:
 
 @lru_cache(32)
 def _generated(
-    kind: str | Statistics, sides: tuple[float, float], seed: int, irregularity: float
+    kind: str | Statistics | Terrain, sides: tuple[float, float], seed: int, irregularity: float
 ) -> City:
     """Generate a read-only city; environments of a process share it through the cache."""
-    city = generate(kind, sides, np.random.default_rng(seed), irregularity)
+    rng = np.random.default_rng(seed)
+    if isinstance(kind, Terrain) or kind in TERRAINS:
+        city = generate_terrain(kind, sides, rng)
+    else:
+        city = generate(kind, sides, rng, irregularity)
     for array in (city.solids.boxes, city.building, city.streets.nodes, city.streets.edges):
         array.setflags(write=False)
     return city
@@ -149,6 +164,17 @@ def _sides(area: Any) -> tuple[float, float]:
     if min(sides) <= 0:
         raise ValueError(f"area is {min(sides):g} m: it must be above 0")
     return sides
+
+
+def _given_terrain(given: Mapping[Any, Any]) -> Terrain:
+    """Return the terrain of a dict with its kind and options."""
+    if "kind" not in given:
+        raise ValueError(
+            f"city is {shown(dict(given))}: a dict of terrain needs the key 'kind', "
+            f"one of {', '.join(TERRAINS)}"
+        )
+    options = {name: value for name, value in given.items() if name != "kind"}
+    return find_terrain(given["kind"], options)
 
 
 def _given_statistics(given: Any) -> Statistics:
@@ -193,12 +219,14 @@ class CityLayouts(Part):
         self._num_drones = context.num_drones
         self._measured: tuple[bytes, dict[str, np.ndarray]] = (b"", {})
         self.cities = make_cities(config)
+        self._check_hills(task)
         self.solids: tuple[Solids, ...] = tuple(city.solids for city in self.cities)
         self.parameters = np.array([*map(parameters, self.cities), (0.0, 0.0, 0.0)])
         # The airspace contains the widest city, and must be larger than `min_separation`
         half_sides = np.max([city.sides for city in self.cities], axis=0) / 2
+        highest = max(city.ground.corners.max() if city.ground else 0.0 for city in self.cities)
         self.low = np.array([-half_sides[0], -half_sides[1], 0.0])
-        self.high = np.array([half_sides[0], half_sides[1], config.ceiling])
+        self.high = np.array([half_sides[0], half_sides[1], config.ceiling + highest])
         diagonal = math.dist(self.low, self.high)
         if context.num_drones > 1 and config.min_separation >= diagonal:
             raise ValueError(
@@ -206,17 +234,38 @@ class CityLayouts(Part):
                 f"as far as the city's airspace reaches, is needed"
             )
         # Any position in a free cell is clear of buildings
-        margin = context.collision_radius + BUILDING_MARGIN + RASTER_CELL / np.sqrt(2)
+        margin = context.collision_radius + BUILDING_MARGIN
+        self._cells = [TERRAIN_CELL if city.is_terrain else RASTER_CELL for city in self.cities]
+        margins = [margin + cell / np.sqrt(2) for cell in self._cells]
         self._raster = [
-            _outdoor_cells(city, RASTER_CELL, margin, EDGE_MARGIN) for city in self.cities
+            _outdoor_cells(city, cell, own, EDGE_MARGIN)
+            for city, cell, own in zip(self.cities, self._cells, margins, strict=True)
         ]
-        for city, raster in zip(self.cities, self._raster, strict=True):
+        for city, raster, own in zip(self.cities, self._raster, margins, strict=True):
             if not len(raster):
+                gap, remedy = "street", "alpha"
+                if city.is_terrain:
+                    gap, remedy = "gap between trees", "tree_density"
                 raise ValueError(
-                    f"city {city.name!r} has no street {2 * margin:.3g} m wide, "
+                    f"city {city.name!r} has no {gap} {2 * own:.3g} m wide, "
                     f"{EDGE_MARGIN:g} m off its edge: drones do not fit; "
-                    f"lower alpha, or raise area"
+                    f"lower {remedy}, or raise area"
                 )
+
+    def _check_hills(self, task: Task[Any]) -> None:
+        """Check that drones do not have to stand on hills, and start clear of them."""
+        hilly = [city.name for city in self.cities if city.ground is not None]
+        if hilly and task.lands:
+            raise ValueError(
+                f"city {hilly[0]!r} has hills, and drones land on flat ground only: "
+                f"turn off take-off and landing, or choose terrain with relief 0"
+            )
+        lowest = STEEP * task.context.collision_radius
+        if hilly and self.config.height[0] < lowest:
+            raise ValueError(
+                f"height is {self.config.height}: at least {lowest:.3g} m above the slopes "
+                f"of city {hilly[0]!r} is needed"
+            )
 
     def layouts(self) -> Sequence[Solids]:
         """Return the buildings of each city."""
@@ -229,7 +278,10 @@ class CityLayouts(Part):
         steps = radius * np.linspace(-1.0, 1.0, 5)
         below = place[:2] + np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
         is_above = place[2] - radius > float(city.roof(below).max())
-        return bool(is_above) or bool(city.outdoors(place, radius))
+        if is_above or city.ground is None:
+            return bool(is_above) or bool(city.outdoors(place, radius))
+        is_off_ground = place[2] - radius > float(city.surface(below).max())
+        return is_off_ground and bool(city.outdoors(place, radius))
 
     def info(self, frame: Frame) -> dict[str, np.ndarray]:
         """Return the parameters of the worlds' cities, the same for all drones of a world."""
@@ -263,7 +315,8 @@ class CityLayouts(Part):
             ValueError: If in some city no two positions are that far apart.
         """
         diagonals = (
-            np.linalg.norm(np.ptp(raster, axis=0) + RASTER_CELL) for raster in self._raster
+            np.linalg.norm(np.ptp(raster, axis=0) + cell)
+            for raster, cell in zip(self._raster, self._cells, strict=True)
         )
         widest = min(float(diagonal) for diagonal in diagonals)
         if leg >= widest:
@@ -276,7 +329,7 @@ class CityLayouts(Part):
         return int(rng.integers(len(self.cities)))
 
     def outdoors(self, rng: np.random.Generator, layout: int, count: int) -> np.ndarray:
-        """Draw positions outdoors with space for a drone.
+        """Draw positions outdoors, clear of buildings and trees, with space for a drone.
 
         Args:
             rng: Random generator.
@@ -286,10 +339,27 @@ class CityLayouts(Part):
         Returns:
             (count, 2) m.
         """
-        raster = self._raster[layout]
+        raster, half = self._raster[layout], self._cells[layout] / 2
         cell = raster[rng.integers(len(raster), size=count)]
-        place: np.ndarray = cell + rng.uniform(-RASTER_CELL / 2, RASTER_CELL / 2, (count, 2))
+        place: np.ndarray = cell + rng.uniform(-half, half, (count, 2))
         return place
+
+    def raise_above_ground(self, layout: int, places: np.ndarray) -> np.ndarray:
+        """Return positions whose z is the given height above the ground of a city.
+
+        Args:
+            layout: Index of the city.
+            places: (..., 3) x, y, and height above the ground, m.
+
+        Returns:
+            (..., 3) m.
+        """
+        city = self.cities[layout]
+        if city.ground is None:
+            return places
+        raised = places.copy()
+        raised[..., 2] += city.surface(places)
+        return raised
 
     def places(self, rng: np.random.Generator, layout: int, count: int) -> np.ndarray:
         """Draw positions of drones, at least `min_separation` apart.
@@ -348,6 +418,7 @@ class CityLayouts(Part):
             for _ in range(MAX_TRIES):
                 places[i, :2] = self.outdoors(rng, layout, 1)[0]
                 places[i, 2] = rng.uniform(lowest, highest)
+                places[i] = self.raise_above_ground(layout, places[i])
                 # First, as most goals are too close and this check is cheap
                 if start is not None and math.dist(start[i], places[i]) < leg:
                     continue
@@ -375,6 +446,7 @@ class CityLayouts(Part):
         farthest, longest = place, -1.0
         for _ in range(MAX_TRIES):
             goal = np.append(self.outdoors(rng, layout, 1)[0], rng.uniform(*self.config.height))
+            goal = self.raise_above_ground(layout, goal)
             distance = math.dist(place, goal)
             if distance > longest:
                 farthest, longest = goal, distance
@@ -460,5 +532,4 @@ def ground_cells(city: City, cell: float) -> np.ndarray:
         (M, 3) m, at the height of a user's device.
     """
     places = _outdoor_cells(city, cell, 0.0)
-    height = np.full((len(places), 1), USER_HEIGHT)
-    return np.concatenate([places, height], axis=1)
+    return np.column_stack([places, city.surface(places) + USER_HEIGHT])
