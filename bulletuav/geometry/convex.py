@@ -94,21 +94,22 @@ def _compute_faces(given: bytes) -> tuple[np.ndarray, list[tuple[np.ndarray, lis
     number = {int(old): new for new, old in enumerate(hull.vertices)}
     # Qhull gives all triangles of a face the same plane, up to rounding
     size = float(np.abs(corners).max())
-    planes: list[np.ndarray] = []
+    planes = np.zeros(hull.equations.shape)
     members: list[set[int]] = []
     for triangle, equation in zip(hull.simplices, hull.equations, strict=True):
         new = {number[int(k)] for k in triangle}
-        for plane, face in zip(planes, members, strict=True):
-            is_parallel = np.abs(plane[:3] - equation[:3]).max() <= COPLANARITY_TOLERANCE
-            if is_parallel and abs(plane[3] - equation[3]) <= COPLANARITY_TOLERANCE * size:
-                face |= new
-                break
+        # Members of the first face that is parallel and equally far from the origin
+        away = np.abs(planes[: len(members)] - equation)
+        is_same = away[:, :3].max(axis=1) <= COPLANARITY_TOLERANCE
+        is_same &= away[:, 3] <= COPLANARITY_TOLERANCE * size
+        if is_same.any():
+            members[int(is_same.argmax())] |= new
         else:
-            planes.append(equation)
+            planes[len(members)] = equation
             members.append(new)
     return corners, [
         (plane * [1, 1, 1, -1], _order_counterclockwise(corners, plane[:3], sorted(face)))
-        for plane, face in zip(planes, members, strict=True)
+        for plane, face in zip(planes, members, strict=False)
     ]
 
 
