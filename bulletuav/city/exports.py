@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from bulletuav.city.model import City
+from bulletuav.city.model import GROUND, City
 from bulletuav.files import replace_file
 from bulletuav.geometry.solids import format_obj_lines
 
@@ -10,8 +10,9 @@ from bulletuav.geometry.solids import format_obj_lines
 def write_obj(city: City, path: str | Path) -> None:
     """Write a city as a Wavefront OBJ file in metres, z up, with counter-clockwise faces.
 
-    Each convex piece is an object `building_K_piece_P`. Coordinates are written with full
-    precision, so `imports.from_obj` with the city's side reads identical pieces.
+    Each convex piece is an object `building_K_piece_P`, or `ground_piece_P` for hills. Coordinates
+    are written with full precision, so `imports.from_obj` with the city's side reads identical
+    pieces; it reads hills as buildings.
 
     Args:
         city: The city.
@@ -23,8 +24,12 @@ def write_obj(city: City, path: str | Path) -> None:
     )
     owners = zip(city.building, city.solids.faces, strict=True)
     pieces = (
-        (f"building_{building}_piece_{piece}", corners, faces)
+        (f"{_owner(building)}_piece_{piece}", corners, faces)
         for piece, (building, (corners, faces)) in enumerate(owners)
     )
     lines = [about, *format_obj_lines(pieces)]
     replace_file(path, "\n".join(lines) + "\n")
+
+
+def _owner(building: int) -> str:
+    return "ground" if building == GROUND else f"building_{building}"

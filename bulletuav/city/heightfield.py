@@ -37,6 +37,20 @@ class Heightfield:
         """(2,) lengths of a cell along x and y, m."""
         return self.sides / (np.array(self.corners.shape) - 1)
 
+    @property
+    def steepest(self) -> float:
+        """Maximum slope of the surface, the tangent of its angle."""
+        along_x = np.diff(self.corners, axis=0) / self.cell[0]
+        along_y = np.diff(self.corners, axis=1) / self.cell[1]
+        # Each triangle has one edge of its cell along x and one along y
+        low, high = slice(None, -1), slice(1, None)
+        pairs = [
+            np.hypot(along_x[:, one], along_y[other])
+            for one in (low, high)
+            for other in (low, high)
+        ]
+        return float(np.max(pairs))
+
     def height(self, plan: np.ndarray) -> np.ndarray:
         """Return the height of the surface by linear interpolation.
 

@@ -4,10 +4,12 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PolyCollection
 
-from bulletuav.city.model import City
+from bulletuav.city.heightfield import Heightfield
+from bulletuav.city.model import GROUND, City
 
 GROUND_COLOUR = "#f2efe9"
 STREET_COLOUR = "#d98e04"
+CONTOUR_COLOUR = "#9a7b55"
 FINENESS = 20.0
 """Line width of a street, points, if its segments are as long as the city"""
 BELOW = -0.09
@@ -17,13 +19,18 @@ BELOW = -0.09
 def draw_map(city: City, axes: Axes) -> None:
     """Draw a plan view of a city, in m: streets, and footprints coloured by building height.
 
+    Terrain has no streets; contour lines are the heights of its ground.
+
     Args:
         city: The city.
         axes: Target axes; limits, labels and title are set.
     """
     # Footprints coloured by height, streets as lines
     prints = PolyCollection(city.footprints, cmap="viridis_r", edgecolors="face", linewidths=0.4)
-    prints.set(array=city.heights[city.building], clim=(0, city.heights.max(initial=1.0)))
+    owner = city.building[city.building != GROUND]
+    prints.set(array=city.heights[owner], clim=(0, city.heights.max(initial=1.0)))
+    if city.ground is not None:
+        _draw_contours(city.ground, axes)
     lines = city.streets.nodes[city.streets.edges]
     # The line width follows the mesh size of the street network.
     mesh = np.median(np.linalg.norm(np.diff(lines, axis=1), axis=-1)) if len(lines) else 0.0
@@ -35,13 +42,14 @@ def draw_map(city: City, axes: Axes) -> None:
         axes.add_collection(collection)
     axes.figure.colorbar(prints, ax=axes, label="height (m)", shrink=0.85)
     # Next to the scale, below the map
-    axes.legend(
-        handles=[streets],
-        loc="center right",
-        bbox_to_anchor=(1, BELOW),
-        frameon=False,
-        borderaxespad=0,
-    )
+    if not city.is_terrain:
+        axes.legend(
+            handles=[streets],
+            loc="center right",
+            bbox_to_anchor=(1, BELOW),
+            frameon=False,
+            borderaxespad=0,
+        )
     _draw_scale(city.side, axes)
     half = city.sides / 2
     axes.set(
@@ -52,9 +60,19 @@ def draw_map(city: City, axes: Axes) -> None:
     )
     axes.set(xlabel="x east (m)", ylabel="y north (m)")
     axes.set_title(
-        f"{city.name}: {len(city.heights)} buildings on "
+        f"{city.name}: {len(city.heights)} {'trees' if city.is_terrain else 'buildings'} on "
         f"{city.sides[0]:.4g} m x {city.sides[1]:.4g} m"
     )
+
+
+def _draw_contours(ground: Heightfield, axes: Axes) -> None:
+    """Draw contour lines of the ground, with their heights, m."""
+    x, y = (
+        np.linspace(-side / 2, side / 2, count)
+        for side, count in zip(ground.sides, ground.corners.shape, strict=True)
+    )
+    lines = axes.contour(x, y, ground.corners.T, colors=CONTOUR_COLOUR, linewidths=0.8)
+    axes.clabel(lines, fontsize=7)
 
 
 def _draw_scale(side: float, axes: Axes) -> None:

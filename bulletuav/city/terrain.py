@@ -15,9 +15,9 @@ from bulletuav.compiled.functions import cos, sin
 from bulletuav.errors import find_choice, finite, shown, unknown
 from bulletuav.geometry.solids import Solids
 
-CELLS = 8
+CELLS = 6
 """Minimum number of cells of the ground per wavelength"""
-MAX_CELLS = 128
+MAX_CELLS = 64
 """Maximum number of cells along a side"""
 MAX_TREES = 20_000
 MAX_STEEPNESS = 1 / 3
@@ -144,7 +144,7 @@ def generate_terrain(
     """Generate terrain of one of `TERRAINS`, or with custom numbers.
 
     Hills are a sum of plane waves of random directions and phases, sampled at the corners of
-    rectangular cells, of which a wavelength has at least eight. At the edge of the ground the
+    rectangular cells, of which a wavelength has at least six. At the edge of the ground the
     terrain ends in walls. Trees stand at random places (a binomial point process), upright, and may
     overlap. A tree is a building of two pieces, a trunk and a crown.
 
@@ -187,6 +187,27 @@ def generate_terrain(
         ground=ground,
         is_terrain=True,
     )
+
+
+def measure_terrain(city: City) -> dict[str, float]:
+    """Measure terrain.
+
+    Args:
+        city: The terrain.
+
+    Returns:
+        Value by the name of each statistic, with its unit. Heights of trees are above the ground
+        next to them.
+    """
+    found = {"relief, m": 0.0, "steepest slope, degrees": 0.0}
+    if city.ground is not None:
+        found["relief, m"] = float(np.ptp(city.ground.corners))
+        found["steepest slope, degrees"] = math.degrees(math.atan(city.ground.steepest))
+    found["trees per hectare"] = len(city.heights) / (city.sides / 100).prod()
+    if len(city.heights):
+        crowns = city.raised.bounds[len(city.heights) :].mean(axis=1)
+        found["mean height of trees, m"] = float(np.mean(city.heights - city.surface(crowns)))
+    return found
 
 
 def _make_hills(terrain: Terrain, sides: np.ndarray, rng: np.random.Generator) -> Heightfield:

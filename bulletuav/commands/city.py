@@ -23,6 +23,13 @@ from bulletuav.city.maps import draw_map
 from bulletuav.city.model import City
 from bulletuav.city.render import render
 from bulletuav.city.statistics import KINDS, Statistics, realised
+from bulletuav.city.terrain import (
+    TERRAINS,
+    Terrain,
+    find_terrain,
+    generate_terrain,
+    measure_terrain,
+)
 from bulletuav.commands.arguments import make_out_folder
 from bulletuav.commands.output import print_files, print_table
 from bulletuav.errors import as_int, find_choice
@@ -32,6 +39,8 @@ from bulletuav.report.pictures import blank_figure, save_figure
 NUMBERS = ("alpha", "beta", "gamma")
 GENERATOR = {"kind", "seed", "irregularity", "side", *NUMBERS}
 """Options of generated cities"""
+TERRAIN = {"kind", "seed", "side"} | {field.name for field in dataclasses.fields(Terrain)}
+"""Options of terrain"""
 COLUMNS: tuple[tuple[str, JustifyMethod], ...] = (
     ("statistic", "left"),
     ("realised", "right"),
@@ -44,7 +53,7 @@ Measured = dict[str, tuple[float, float]]
 def run(arguments: argparse.Namespace) -> None:
     """Generate or import a city, print its statistics and write the files."""
     city, target = _city(arguments)
-    measured = realised(city, target)
+    measured = _measured(city, target)
     out = make_out_folder(arguments.out)
     files = [out / "map.png", out / "city.obj", out / "statistics.json", out / "city.png"]
     map_file, obj_file, statistics_file, picture_file = files
@@ -63,14 +72,23 @@ def run(arguments: argparse.Namespace) -> None:
     print_files(files)
 
 
+def _measured(city: City, target: Statistics | None) -> Measured:
+    """Measure a city or terrain."""
+    if city.is_terrain:
+        return {name: (value, math.nan) for name, value in measure_terrain(city).items()}
+    return realised(city, target)
+
+
 def _city(arguments: argparse.Namespace) -> tuple[City, Statistics | None]:
-    """Return the city and, if it is generated, its target statistics."""
+    """Return the city and, if it is a generated one, its target statistics."""
     options = {
         name: value
         for name, value in vars(arguments).items()
         if value is not None and name not in ("command", "out")
     }
     file = options.pop("file", None)
+    if file is None and options.get("kind") in TERRAINS:
+        return _terrain(options), None
     if file is None:
         return _generated(options)
     # The extension selects the importer, whose parameters are the valid options
@@ -86,12 +104,24 @@ def _generated(options: dict[str, Any]) -> tuple[City, Statistics]:
     _refuse_others(options, GENERATOR, "a generated city")
     kind = options.get("kind", "urban")
     numbers = {name: options[name] for name in NUMBERS if name in options}
-    target = dataclasses.replace(find_choice("kind of city", kind, KINDS), **numbers)
+    find_choice("kind of city", kind, {**KINDS, **TERRAINS})
+    target = dataclasses.replace(KINDS[kind], **numbers)
     side = options.get("side", 500.0)
     irregularity = options.get("irregularity", 0.0)
     rng = np.random.default_rng(as_int("seed", options.get("seed", 0), least=0))
     # An unchanged kind is passed by name, which becomes the name of the city
     return generate(target if numbers else kind, side, rng, irregularity), target
+
+
+def _terrain(options: dict[str, Any]) -> City:
+    """Return generated terrain."""
+    kind = options.pop("kind")
+    _refuse_others(options, TERRAIN, f"terrain such as {kind}")
+    rng = np.random.default_rng(as_int("seed", options.pop("seed", 0), least=0))
+    side = options.pop("side", 500.0)
+    # An unchanged kind is passed by name, which becomes the name of the city
+    terrain = find_terrain(kind, options) if options else kind
+    return generate_terrain(terrain, side, rng)
 
 
 def _refuse_others(options: dict[str, Any], known: Container[str], what: str) -> None:
@@ -112,10 +142,14 @@ def _described(city: City, measured: Measured) -> dict[str, Any]:
     return {
         "name": city.name,
         "side_m": city.side,
-        "buildings": len(city.heights),
+        _buildings(city): len(city.heights),
         "statistics": statistics,
         **extra,
     }
+
+
+def _buildings(city: City) -> str:
+    return "trees" if city.is_terrain else "buildings"
 
 
 def _described_import(report: ImportReport) -> dict[str, Any]:
@@ -155,7 +189,8 @@ def _report_table(report: ImportReport) -> Table:
 def _table(city: City, measured: Measured) -> Table:
     """Return a table of the statistics and their targets."""
     table = Table(
-        title=f"city {city.name}, {city.side:g} m x {city.side:g} m, {len(city.heights)} buildings"
+        title=f"{'terrain' if city.is_terrain else 'city'} {city.name}, "
+        f"{city.side:g} m x {city.side:g} m, {len(city.heights)} {_buildings(city)}"
     )
     for heading, side in COLUMNS:
         table.add_column(heading, justify=side)

@@ -276,13 +276,30 @@ def _make_compound(client: int, solids: Solids, pieces: np.ndarray) -> ShapeNumb
 def make_facades(client: int, solids: Solids) -> list[Body]:
     """Create the visual bodies of a city, without collision shapes."""
     return [
-        _make_facade(client, vertices[triangles]) for vertices, triangles in solids.meshes(MESH)
+        _make_facade(client, vertices[triangles], colour)
+        for part, colour in _split_by_colour(solids)
+        for vertices, triangles in part.meshes(MESH)
     ]
 
 
-def _make_facade(client: int, corner: np.ndarray) -> Body:
+def _split_by_colour(solids: Solids) -> list[tuple[Solids, Colour]]:
+    """Return the pieces of each colour."""
+    if solids.colours is None:
+        return [(solids, CITY_COLOUR)]
+    parts = []
+    first = len(solids.boxes)
+    for colour in np.unique(solids.colours, axis=0):
+        is_own = (solids.colours == colour).all(axis=1)
+        hulls = zip(solids.hulls, is_own[first:].tolist(), strict=True)
+        part = Solids(solids.boxes[is_own[:first]], tuple(hull for hull, own in hulls if own))
+        red, green, blue = (colour / 255).tolist()
+        parts.append((part, (red, green, blue, 1.0)))
+    return parts
+
+
+def _make_facade(client: int, corner: np.ndarray, colour: Colour) -> Body:
     """Create a visual body of triangles (T, 3, 3)."""
-    visual = _flat_visual(client, corner, CITY_COLOUR)
+    visual = _flat_visual(client, corner, colour)
     facade: Body = bullet.createMultiBody(0, -1, visual, physicsClientId=client)
     return facade
 

@@ -61,6 +61,15 @@ class Look(NamedTuple):
     seed: int = 0
 
 
+def _colours_of(layouts: Sequence[Solids]) -> np.ndarray | None:
+    """Return the colours (T, 3) of the pieces of layouts; None if no layout has its own."""
+    if all(solids.colours is None for solids in layouts):
+        return None
+    usual = [np.tile(COLOURS[BUILDING], (len(solids.bounds), 1)) for solids in layouts]
+    own = [solids.colours for solids in layouts]
+    return np.concatenate([a if b is None else b for a, b in zip(usual, own, strict=True)])
+
+
 class PictureMaker:
     """Draws pictures of the worlds of an engine; see `Engine.pictures`."""
 
@@ -80,6 +89,7 @@ class PictureMaker:
         counts = [len(solids.bounds) for solids in layouts]
         self._blocks = make_view_blocks(grid.low, grid.high, counts)
         self._num_worlds = scenery.place.shape[0]
+        self._piece_colours = _colours_of(layouts)
         self._looks: dict[int, Look] = {}
         self._set_faces(scenery)
         # Each thread draws in memory of its own
@@ -136,6 +146,13 @@ class PictureMaker:
         light = AMBIENT + (1 - AMBIENT) * (self._faces.normal * sun).sum(axis=1)
         light[0] = 1.0
         colour = base[labels]
+        if self._piece_colours is not None:
+            # The pieces of layouts come last but for the ground
+            first = len(self._table.kind) - 1 - len(self._piece_colours)
+            is_piece = (shape >= first) & (shape < len(self._table.kind) - 1)
+            own = self._piece_colours[shape[is_piece] - first]
+            colour[2:][is_piece] += (1 - look.strength) * (own - COLOURS[BUILDING])
+            windows[3] = 0.0
         is_varied = np.isin(labels[2:], (BUILDING, OBSTACLE))
         colour[2:] += np.where(is_varied[:, None], shade, 0.0)
         colour *= light[:, None]

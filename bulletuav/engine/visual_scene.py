@@ -130,7 +130,7 @@ class VisualScene:
     def _build(self, scale: float, added: Sequence[tuple[Shape, Colour]]) -> _Model:
         """Make the shapes of a world, with lengths multiplied by a factor."""
         layouts = [
-            Solids(scale * one.boxes, tuple(scale * hull for hull in one.hulls))
+            Solids(scale * one.boxes, tuple(scale * hull for hull in one.hulls), one.colours)
             for one in self._contents.layouts
         ]
         scenery = make_scenery(

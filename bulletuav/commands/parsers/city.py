@@ -6,14 +6,15 @@ from pathlib import Path
 from bulletuav.commands.parsers.deferred import DeferredHelp
 
 ABOUT = {
-    "help": "generate a city and write its map, OBJ file and statistics",
+    "help": "generate a city or terrain and write its map, OBJ file and statistics",
     "description": (
-        "Generate a city with the statistics of ITU-R P.1410, or import one from a file. Print its "
-        "statistics next to the targets. Write a map, a Wavefront OBJ file and the statistics."
+        "Generate a city with the statistics of ITU-R P.1410, or hills and forests, or import a "
+        "city from a file. Print its statistics next to the targets. Write a map, a Wavefront OBJ file and the statistics."
     ),
     "epilog": """examples:
   bulletuav city --kind dense --seed 3 --out dense
   bulletuav city --kind urban --irregularity 1 --gamma 30 --out towers
+  bulletuav city --kind wooded_hills --relief 30 --tree-density 50 --out wood
   bulletuav city --import dense/city.obj --elevation ground --out town""",
 }
 
@@ -21,13 +22,15 @@ ABOUT = {
 @DeferredHelp
 def _kinds() -> str:
     from bulletuav.city.statistics import KINDS
+    from bulletuav.city.terrain import TERRAINS
 
-    return f"{', '.join(KINDS)} (default: urban)"
+    return f"{', '.join((*KINDS, *TERRAINS))} (default: urban)"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add options of generated and imported cities, and the output folder."""
     _add_generator(parser)
+    _add_terrain(parser)
     _add_import(parser)
     parser.add_argument(
         "--out",
@@ -61,6 +64,19 @@ def _add_generator(parser: argparse.ArgumentParser) -> None:
         metavar="M",
         help="side of the square (default: 500, or as large as an import needs)",
     )
+
+
+def _add_terrain(parser: argparse.ArgumentParser) -> None:
+    """Add the options of terrain."""
+    parser.add_argument(
+        "--relief", type=float, metavar="M", help="hills: height of the highest point"
+    )
+    parser.add_argument(
+        "--wavelength", type=float, metavar="M", help="hills: shortest distance between two"
+    )
+    parser.add_argument("--tree-density", type=float, help="forests: trees per hectare")
+    parser.add_argument("--tree-height", type=float, metavar="M", help="forests: mean height")
+    parser.add_argument("--trunk-radius", type=float, metavar="M", help="forests: radius of trunks")
 
 
 def _add_import(parser: argparse.ArgumentParser) -> None:

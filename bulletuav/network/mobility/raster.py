@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bulletuav.city.model import City
+from bulletuav.city.model import HEADROOM, City
 from bulletuav.compiled.kernel import allocating, func
 
 MARGIN = 0.1
@@ -37,6 +37,8 @@ class Raster(NamedTuple):
 def rasterise(cities: Sequence[City], cell: float) -> Raster:
     """Rasterise the free ground of cities on a common grid around the origin.
 
+    Crowns of trees that are high enough do not block the ground.
+
     Args:
         cities: City of each layout.
         cell: Edge length of a cell, m.
@@ -55,8 +57,11 @@ def rasterise(cities: Sequence[City], cell: float) -> Raster:
         reached = np.abs(lines) <= city.sides[:, None] / 2 * (1 + 1e-12)
         inside = reached[:, :-1] & reached[:, 1:]
         own[:] = inside[0][:, None] & inside[1]
-        for outline in city.footprints:
-            block_outline(own, np.ascontiguousarray(outline), cell, raster.half_side)
+        # Users walk below the crowns of trees
+        least = HEADROOM if city.is_terrain else np.inf
+        for outline, headroom in zip(city.footprints, city.headroom, strict=True):
+            if headroom < least:
+                block_outline(own, np.ascontiguousarray(outline), cell, raster.half_side)
     return raster
 
 
