@@ -12,7 +12,7 @@ def write_obj(city: City, path: str | Path) -> None:
 
     Each convex piece is an object `building_K_piece_P`, or `ground_piece_P` for hills. Coordinates
     are written with full precision, so `imports.from_obj` with the city's side reads identical
-    pieces; it reads hills as buildings.
+    pieces. It does not read hills, which leave no ground for streets.
 
     Args:
         city: The city.

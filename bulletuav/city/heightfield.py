@@ -35,7 +35,8 @@ class Heightfield:
     @property
     def cell(self) -> np.ndarray:
         """(2,) lengths of a cell along x and y, m."""
-        return self.sides / (np.array(self.corners.shape) - 1)
+        lengths: np.ndarray = self.sides / (np.array(self.corners.shape) - 1)
+        return lengths
 
     @property
     def steepest(self) -> float:

@@ -28,7 +28,8 @@ GROUND = -1
 class City:
     """Buildings of convex pieces on flat ground, or trees on hills, around the origin.
 
-    x is east, y north, z up, in metres. Flat ground is at z = 0. A tree is a building of two pieces.
+    x is east, y north, z up, in metres. Flat ground is at z = 0. A tree is a building of two
+    pieces.
 
     Attributes:
         name: Name of the kind or file.

@@ -9,7 +9,8 @@ ABOUT = {
     "help": "generate a city or terrain and write its map, OBJ file and statistics",
     "description": (
         "Generate a city with the statistics of ITU-R P.1410, or hills and forests, or import a "
-        "city from a file. Print its statistics next to the targets. Write a map, a Wavefront OBJ file and the statistics."
+        "city from a file. Print its statistics next to the targets. Write a map, a Wavefront OBJ "
+        "file and the statistics."
     ),
     "epilog": """examples:
   bulletuav city --kind dense --seed 3 --out dense

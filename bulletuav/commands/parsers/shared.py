@@ -87,7 +87,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--max-speed", type=float, metavar="M/S", help="speed limit of the drones")
     parser.add_argument(
         "--city",
-        help="suburban, urban, dense, high_rise; alpha,beta,gamma; or a .geojson, .json, .obj file",
+        help="suburban, urban, dense, high_rise; hills, forest, wooded_hills; alpha,beta,gamma; "
+        "or a .geojson, .json, .obj file",
     )
     # Wind, presets and other options
     parser.add_argument("--turbulence", help="Dryden gusts: light, moderate or severe")

@@ -114,7 +114,7 @@ def make_cities(config: CityOptions) -> tuple[City, ...]:
         kind = _given_terrain(kind)
     elif isinstance(kind, str):
         find_choice("kind of city", kind, {**KINDS, **TERRAINS, OPEN: None})
-    elif not isinstance(kind, Terrain):
+    else:
         kind = _given_statistics(kind)
     if config.irregularity > 1:
         raise ValueError(
