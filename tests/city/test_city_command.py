@@ -30,6 +30,25 @@ def test_a_generated_city(tmp_path, capsys):
         assert word in printed
 
 
+def test_terrain(tmp_path, capsys):
+    words = ["--kind", "wooded_hills", "--side", "120", "--relief", "10", "--tree-density", "50"]
+    run(*words, "--out", str(tmp_path))
+    told = json.loads((tmp_path / "statistics.json").read_text())
+    assert (told["name"], told["side_m"], told["trees"]) == ("own", 120, 72)
+    assert told["statistics"]["relief, m"] == {"realised": pytest.approx(10), "target": None}
+    assert told["statistics"]["trees per hectare"]["realised"] == pytest.approx(50)
+    assert (tmp_path / "city.obj").read_text().count("\no ") == 144 + 8 * 8
+    assert imread(tmp_path / "map.png").shape[0] > 800
+    assert "steepest slope" in capsys.readouterr().out
+    for words, message in (
+        (["--kind", "hills", "--alpha", "0.3"], "--alpha has no meaning for terrain such as hills"),
+        (["--relief", "3"], "--relief has no meaning for a generated city"),
+        (["--kind", "forest", "--wavelength", "50"], "wavelength has no effect in terrain"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            run(*words, "--out", str(tmp_path))
+
+
 def test_an_imported_city_and_one_number_of_ones_own(tmp_path, capsys):
     run("--gamma", "40", "--side", "200", "--out", str(tmp_path))
     told = json.loads((tmp_path / "statistics.json").read_text())
