@@ -117,3 +117,25 @@ def test_flat_terrain_permits_landing():
     flat = {"kind": "hills", "relief": 0.0, "tree_density": 30.0}
     for option in ({"at_goal": "land"}, {"take_off": True}):
         EnvSpec("navigation", 1, {"city": flat, "leg": 50.0, **SMALL, **option})
+
+
+def test_snapshots_fit_the_same_terrain_only():
+    options = {"leg": 50.0, "dynamics": "point_mass", **SMALL}
+    one, same, other = (
+        bulletuav.Aviary("lidar_navigation", 2, city=city, num_drones=2, seed=seed, **options)
+        for city, seed in ((WOODED, 0), (dict(WOODED), 5), ("forest", 0))
+    )
+    for env in (one, same, other):
+        env.reset()
+    actions = np.full((2, 2, 3), 0.3)
+    one.step(actions)
+    snapshot = one.save_state()
+    same.load_state(snapshot)
+    for env in (one, same):
+        env.step(actions)
+    np.testing.assert_array_equal(one.swarm.position, same.swarm.position)
+    assert one.state_hash() == same.state_hash()
+    with pytest.raises(ValueError, match="city"):
+        other.load_state(snapshot)
+    for env in (one, same, other):
+        env.close()
