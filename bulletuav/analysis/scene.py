@@ -3,8 +3,8 @@
 The parts of `Recording.scene`, with T decisions, N drones and K obstacles, the last of which are
 the pieces of added bodies:
 
-- `about`: JSON text with the task's name, d_safe (m), units, airframes, obstacles, range finder,
-  and labels of readings.
+- `about`: JSON text with the task's name, d_safe (m), units, airframes, obstacles, charging pads,
+  range finder, and labels of readings.
 - `rotor_speed`: (T+1, N, R) rad/s, in the order of each airframe's rotors.
 - `obstacle_quaternion`: (T+1, K, 4) from the obstacle's axes to the world's.
 - `link`: (L, 3) row of the states, drone, and target, for each drone that serves a target.
@@ -122,6 +122,8 @@ class SceneLog:
         self._aviary = aviary
         self._labels = aviary.reading_labels
         self._active = aviary.task.active_targets(aviary.scene)[0]
+        pads = aviary.scene.memory.get("pad")
+        self._pads = [] if pads is None else pads[0].tolist()
         self._rotor_speed: list[np.ndarray] = []
         self._turns: list[np.ndarray] = []
         self._bodies: list[tuple[np.ndarray, np.ndarray]] = []
@@ -217,6 +219,7 @@ class SceneLog:
                     *self._aviary.worlds.engine.added_shapes,
                 )
             ],
+            "pads": {"places": self._pads, "radius": getattr(task.config, "pad_radius", 0.0)},
             "lidar": {
                 "beams": task.context.beams,
                 "frame": options.lidar_frame,

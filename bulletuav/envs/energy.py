@@ -78,10 +78,15 @@ class Energy:
         add_rows(program, worlds, charge, self._battery.charge)
         add_value(program, worlds, 0.0, self.power)
 
-    def add_voltage(self, program: Program) -> None:
-        """Add to a program that voltages are computed from charge and power."""
+    def add_voltage(self, program: Program, net: np.ndarray | None = None) -> None:
+        """Add to a program that voltages are computed from charge and power.
+
+        Args:
+            program: Program that is extended.
+            net: (W, N) power that batteries deliver, W, if it differs from that of the drones.
+        """
         if self._packs.any():
-            given = (self._battery.charge, self.power, self._packs)
+            given = (self._battery.charge, self.power if net is None else net, self._packs)
             program.call(_fill_voltage, *given, self.voltage, self._supply)
 
     def add_to(
@@ -92,8 +97,9 @@ class Energy:
         wind: np.ndarray,
         payload: np.ndarray,
         flown: np.ndarray,
+        charging: np.ndarray | None = None,
     ) -> None:
-        """Add to a program that a decision drains the batteries.
+        """Add to a program that a decision drains the batteries, and charges them.
 
         Args:
             program: Program that is extended.
@@ -102,6 +108,7 @@ class Energy:
             wind: (W, N, 3) wind during the decision, m/s.
             payload: (W, N) power of equipment in addition to flight, W.
             flown: (W, N) bool, drones active before the decision; only their batteries are drained.
+            charging: (W, N) power that charges the batteries, W; None if nothing does.
         """
         if self._wings is None:
             speeds = (before.rotor_speed, after.rotor_speed)
@@ -111,11 +118,12 @@ class Energy:
             velocities = (before.velocity, after.velocity, wind)
             program.call(_fill_propulsion, *velocities, self._wings, self._packed, self.power)
         program.call(_add_payload, payload, flown, self.power)
-        battery = self._battery
-        program.call(
-            drain_batteries, self.power, self._period, flown, battery.energy, battery.charge
-        )
-        self.add_voltage(program)
+        battery, net = self._battery, self.power
+        if charging is not None:
+            net = np.zeros_like(self.power)
+            program.call(_subtract, self.power, charging, net)
+        program.call(drain_batteries, net, self._period, flown, battery.energy, battery.charge)
+        self.add_voltage(program, net)
 
     def kept(self) -> dict[str, np.ndarray]:
         """Return the arrays (W, N) by name that follow from the last decision."""
@@ -208,6 +216,14 @@ def _fill_voltage(
                 rest = cells * resting_voltage(charge[w, i])
                 voltage[w, i] = loaded_voltage(rest, power[w, i], resistance)
                 supply[w, i] = battery_speed_ratio(voltage[w, i], nominal)
+
+
+@kernel
+def _subtract(power: np.ndarray, charging: np.ndarray, net: np.ndarray) -> None:
+    """Write the power (W, N) that batteries deliver, W: negative while they are charged."""
+    for w in range(power.shape[0]):
+        for i in range(power.shape[1]):
+            net[w, i] = power[w, i] - charging[w, i]
 
 
 @kernel

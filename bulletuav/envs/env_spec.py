@@ -98,7 +98,8 @@ class EnvSpec:
         self.given = DRAWN if given.is_empty else GivenStart(given)
         self.action = _make_action(self.options, self.task)
         # Observations determine which sensors are needed
-        sources = kind.observation if self.options.observation is None else self.options.observation
+        given_blocks = self.options.observation
+        sources = self.task.observation_blocks() if given_blocks is None else given_blocks
         if self.options.communication is not None:
             sources = self._add_messages(self.options.communication, tuple(sources))
         self._check_observation(sources)
@@ -126,6 +127,11 @@ class EnvSpec:
             raise ValueError(
                 "at_goal is 'respawn', and new goals may lie in bodies: leave out bodies, or "
                 "choose another at_goal"
+            )
+        if self.options.battery_capacity is None and self.task.overrides_method("charging_power"):
+            raise ValueError(
+                "charging_pads have no effect without battery_capacity: set it in W h, or leave "
+                "them out"
             )
         drones = ObservationBuilder(STATE, *parts)
         self.state = GlobalState(self.task, drones, self.options)

@@ -106,15 +106,24 @@ class Observed(Avoidance):
         Returns:
             (W, N, width of the block) arrays by name.
         """
-        observer = self.aviary.observer
-        seen: dict[str, np.ndarray] = {}
-        parts = observer.split(observations)
-        for name, part in observer.slices.items():
-            seen[name] = np.array(parts[name], dtype=float)
-            if self.aviary.options.normalise:
-                low, high = np.array([(one.low, one.high) for one in observer.labels[part]]).T
-                seen[name] = (low + high) / 2 + (high - low) / 2 * seen[name]
-        return seen
+        return unpack_blocks(self.aviary, observations)
+
+
+def unpack_blocks(aviary: Aviary, observations: Observation) -> dict[str, np.ndarray]:
+    """Split the observations of an aviary into blocks, and undo their normalisation.
+
+    Returns:
+        (W, N, width of the block) arrays by name.
+    """
+    observer = aviary.observer
+    seen: dict[str, np.ndarray] = {}
+    parts = observer.split(observations)
+    for name, part in observer.slices.items():
+        seen[name] = np.array(parts[name], dtype=float)
+        if aviary.options.normalise:
+            low, high = np.array([(one.low, one.high) for one in observer.labels[part]]).T
+            seen[name] = (low + high) / 2 + (high - low) / 2 * seen[name]
+    return seen
 
 
 def _goal(seen: dict[str, np.ndarray]) -> np.ndarray:

@@ -1,7 +1,9 @@
 """Figures without a window system, and common parts of pictures of episodes."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
+from typing import Any
 
 import matplotlib
 import numpy as np
@@ -27,6 +29,12 @@ UNSEEN = "#cc3311"
 """Colour of targets out of sight"""
 BARS = "#d2691e"
 """Colour of bars among the obstacles, such as those of gates"""
+PAD_COLOUR = (0.1, 0.55, 0.75)
+"""Colour of charging pads, red, green, blue"""
+PAD_THICKNESS = 0.1
+"""Thickness of charging pads in 3-D pictures, m"""
+NO_PADS: Mapping[str, Any] = MappingProxyType({"places": (), "radius": 0.0})
+"""Charging pads of recordings without any"""
 
 
 def blank_figure(width: float, height: float) -> Figure:

@@ -18,9 +18,16 @@ from bulletuav.geometry.quaternions import multiply_quaternions, rotate_vectors
 from bulletuav.geometry.shapes import BOX, CYLINDER, SPHERE
 from bulletuav.geometry.solids import Solids
 from bulletuav.parsing import parse_json
-from bulletuav.report.figures import MAX_NUMBERED_DRONES, drone_colours
+from bulletuav.report.figures import (
+    MAX_NUMBERED_DRONES,
+    NO_PADS,
+    PAD_COLOUR,
+    PAD_THICKNESS,
+    drone_colours,
+)
 from bulletuav.report.replay import SCENE_ERRORS, scene_error, unwrap_quaternions
 from bulletuav.report.video import FPS, save_video
+from bulletuav.tasks.frame import UPRIGHT
 from bulletuav.vehicle.airframes import load_airframe
 
 SIZE = (960, 540)
@@ -110,6 +117,12 @@ class Film:
                 self._owner.append(drone)
                 places.append(scale * np.array(part["position"]))
                 turns.append(part["quaternion"])
+        pads = about.get("pads", NO_PADS)
+        bodies += [
+            Obstacle("cylinder", (pads["radius"], PAD_THICKNESS), (*PAD_COLOUR, 1.0))
+            for _ in pads["places"]
+        ]
+        self._pads = np.array(pads["places"]).reshape(-1, 3)
         self._place = np.array(places)
         self._own_turn = np.array(turns)
         # The last buildings are hulls, whose vertices are concatenated
@@ -218,8 +231,9 @@ class Film:
         recording = self._recording
         obstacle = between(recording.obstacle)
         own = between(unwrap_quaternions(recording.scene["obstacle_quaternion"]))
-        places = np.concatenate([obstacle, places])[None]
-        turns = np.concatenate([own, turns])[None]
+        level = np.tile(UPRIGHT, (len(self._pads), 1))
+        places = np.concatenate([obstacle, places, self._pads])[None]
+        turns = np.concatenate([own, turns, level])[None]
         self._engine.set_obstacles(places, turns, np.array([True]))
 
     def _camera_position(

@@ -9,10 +9,13 @@ from matplotlib.collections import LineCollection
 from matplotlib.patches import Circle
 
 from bulletuav.analysis.recording import Recording
+from bulletuav.parsing import parse_json
 from bulletuav.report.animation import Animation
 from bulletuav.report.figures import (
     BARS,
     MAX_NUMBERED_DRONES,
+    NO_PADS,
+    PAD_COLOUR,
     SEEN,
     UNSEEN,
     bar_lines,
@@ -94,6 +97,7 @@ def plot_tracks(
             _mark_separations(axes, values, d_safe)
     _draw_obstacles(above, recording)
     draw_buildings(above, recording)
+    _draw_pads(above, recording)
     _draw_targets(above, recording)
     _mark_conflicts(above, recording)
     _mark_contacts(above, recording)
@@ -215,6 +219,20 @@ def _draw_targets(axes: Axes, recording: Recording) -> None:
     ):
         if some.any():
             axes.plot(*track[-1, some].T, ".", color=colour, ms=4, label=label, zorder=1)
+
+
+def _draw_pads(axes: Axes, recording: Recording) -> None:
+    """Draw the zones of charging pads."""
+    if not recording.scene:
+        return
+    about = parse_json(str(recording.scene["about"]), "its description")
+    pads = about.get("pads", NO_PADS)
+    for k, (east, north, _) in enumerate(pads["places"]):
+        label = "charging pad" if k == 0 else None
+        zone = Circle((east, north), pads["radius"], fc=PAD_COLOUR, label=label, zorder=2)
+        axes.add_patch(zone)
+        # Small zones are visible in large cities, too
+        axes.plot(east, north, "P", color=PAD_COLOUR, ms=6, zorder=2)
 
 
 def _mark_conflicts(axes: Axes, recording: Recording) -> None:

@@ -24,7 +24,7 @@ from bulletuav.files import replace_file
 from bulletuav.geometry.shapes import HULL
 from bulletuav.geometry.solids import Solids
 from bulletuav.parsing import parse_json
-from bulletuav.report.figures import drone_colours
+from bulletuav.report.figures import NO_PADS, drone_colours
 from bulletuav.report.payload import Payload
 from bulletuav.report.replay_charts import add_charts, prepend_missing_row
 from bulletuav.report.verification import read_sealed
@@ -178,6 +178,8 @@ def make_payload(recording: Recording, title: str) -> str:
         "colours": _colours(recording.position.shape[1]),
         **{name: about[name] for name in ("task", "d_safe", "airframes", "airframe_of")},
         **{name: about[name] for name in ("obstacles", "lidar")},
+        # Earlier recordings have no pads
+        "pads": dict(about.get("pads", NO_PADS)),
         "charts": charts,
     }
     return payload.text(metadata)

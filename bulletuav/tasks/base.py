@@ -434,6 +434,18 @@ class Task(ABC, Generic[ConfigT]):
         """Return the power of the drones' payloads, (W, N) W; by default the sum over its parts."""
         return sum((part.payload_power(scene) for part in self.parts), 0.0)
 
+    def charging_power(self, scene: Scene) -> np.ndarray | float:
+        """Return the power that charges the drones' batteries in flight, (W, N) W.
+
+        By default the sum over its parts.
+        """
+        return sum((part.charging_power(scene) for part in self.parts), 0.0)
+
+    def observation_blocks(self) -> tuple[Any, ...]:
+        """Return the default observation: the class attribute and the blocks of the parts."""
+        added = chain.from_iterable(part.observation_blocks() for part in self.parts)
+        return (*self.observation, *(one for one in added if one not in self.observation))
+
     def quantities(self) -> Mapping[str, Any]:
         """Return the quantities that the task derives from a frame, by name, for ingredients.
 

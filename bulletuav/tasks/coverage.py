@@ -15,6 +15,7 @@ from bulletuav.tasks.frame import Frame, Scene, Spawn, TaskContext
 from bulletuav.tasks.ingredients import reward
 from bulletuav.tasks.parts.city_layouts import CityOptions, add_city, ground_cells
 from bulletuav.tasks.parts.difficulties import service_difficulties
+from bulletuav.tasks.parts.ground_cells import GroundCells, check_cell
 from bulletuav.tasks.parts.mean_service import SERVICE_SHIRKERS, MeanService
 from bulletuav.tasks.parts.obstacle_field import ObstacleField, ObstacleOptions
 from bulletuav.tasks.parts.presets import URBANMARL_COVERAGE
@@ -22,9 +23,6 @@ from bulletuav.tasks.parts.safety import Safety
 from bulletuav.tasks.parts.urban import URBAN_DEFAULTS, check_fraction
 from bulletuav.tasks.rewards.users import served
 from bulletuav.tasks.targets import compute_seen_fraction, get_served_fraction
-
-MAX_CELLS = 1e6
-"""Maximum number of squares into which the ground of a city can be divided"""
 
 
 @dataclass(frozen=True)
@@ -131,48 +129,19 @@ class Coverage(Task[CoverageConfig]):
         self.city_layouts = add_city(self)
         check_fraction("wanted", config.wanted)
         self.mean_service = self.add(MeanService(self, self._served))
-        self._check_cell()
-        cells = [ground_cells(city, config.cell) for city in self.city_layouts.cities]
-        if not all(map(len, cells)):
-            raise ValueError(
-                f"cell is {config.cell:g} m: "
-                f"no such square has its centre outdoors; make it smaller"
-            )
-        # Pad the lists of all layouts to equal length with inactive copies of their first cells
-        counts = [len(own) for own in cells]
-        self.num_targets = max(counts)
-        padding = [
-            np.repeat(own[:1], self.num_targets - count, axis=0)
-            for own, count in zip(cells, counts, strict=True)
-        ]
-        self._cells = np.array(
-            [np.concatenate(parts) for parts in zip(cells, padding, strict=True)]
-        )
-        self._is_own = np.array([np.arange(self.num_targets) < count for count in counts])
-
-    def _check_cell(self) -> None:
-        cell = self.config.cell
-        sides = np.array([city.sides for city in self.city_layouts.cities])
-        if not 0 < cell <= sides.min():
-            raise ValueError(
-                f"cell is {cell:g} m: it must be above 0 and at most the side of the city"
-            )
-        count = (sides / cell).prod(axis=1).max()
-        if count > MAX_CELLS:
-            raise ValueError(
-                f"cell is {cell:g} m: {count:.3g} squares on a side of {sides.max():g} m, "
-                f"at most {MAX_CELLS:g} are possible; make it larger, or area smaller"
-            )
+        cell = config.cell
+        check_cell(cell, self.city_layouts)
+        cells = [ground_cells(city, cell) for city in self.city_layouts.cities]
+        self._cells = GroundCells(cells, cell)
+        self.num_targets = self._cells.count
 
     def targets(self, scene: Scene) -> np.ndarray:
         """Return the centres of the squares outdoors, (W, num_targets, 3) m."""
-        middles: np.ndarray = self._cells[scene.layout]
-        return middles
+        return self._cells.centres(scene)
 
     def active_targets(self, scene: Scene) -> np.ndarray:
         """Return which targets are squares rather than padding, (W, num_targets) bool."""
-        is_own: np.ndarray = self._is_own[scene.layout]
-        return is_own
+        return self._cells.active(scene)
 
     def spawn(self, rng: np.random.Generator) -> Spawn:
         """Draw starts at rest outdoors."""

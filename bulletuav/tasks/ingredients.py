@@ -159,7 +159,8 @@ class Binding:
                 return ArgumentSource(lambda frame: quantity)
             return ArgumentSource(quantity, whole_world, is_persistent=False)
         if key in FIELDS:
-            return ArgumentSource(FIELDS[key][1], whole_world)
+            # A property that is computed in each decision
+            return ArgumentSource(FIELDS[key][1], whole_world, is_persistent=key != "depleted")
         if key in self.readings:
             return ArgumentSource(lambda frame: frame.readings[key], whole_world)
         if key in self.memory:

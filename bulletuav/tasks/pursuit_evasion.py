@@ -298,10 +298,12 @@ class PursuitEvasion(Task[PursuitEvasionConfig]):
             the nearest chaser in the last decision, m.
         """
         drones = (self.context.num_drones,)
-        return dict.fromkeys(("lost_at", "captured_at", "captures", "closed"), drones)
+        own = dict.fromkeys(("lost_at", "captured_at", "captures", "closed"), drones)
+        return {**super().memory(), **own}
 
     def update_memory(self, frame: Frame, rngs: Rngs) -> None:
         """Record captures and losses, and update goals."""
+        super().update_memory(frame, rngs)
         memory, flown = frame.scene.memory, frame.alive
         places = (frame.before.position, frame.after.position)
         min_distance, closed = np.empty((2, *flown.shape))

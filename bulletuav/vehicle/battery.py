@@ -103,10 +103,10 @@ class Battery:
         self.charge[k] = given
 
     def drain(self, power: np.ndarray, seconds: float, flying: np.ndarray) -> None:
-        """Draw energy from the batteries, down to empty.
+        """Draw energy from the batteries, down to empty, or charge them, up to full.
 
         Args:
-            power: (W, N) power of each drone, at least 0, W.
+            power: (W, N) power drawn from each battery, W; negative to charge it.
             seconds: Duration, s.
             flying: (W, N) bool, the drones whose batteries are drained.
         """
@@ -123,4 +123,4 @@ def drain_batteries(
             # The power of drones that do not fly may be NaN
             if flying[w, i]:
                 left = charge[w, i] - power[w, i] * seconds / energy[w, i]
-                charge[w, i] = max(left, 0.0)
+                charge[w, i] = min(max(left, 0.0), 1.0)

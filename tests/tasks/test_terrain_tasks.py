@@ -96,6 +96,7 @@ REFUSED = [
     ("mobile_users", {"city": "forest"}, "'forest' has no streets, which users need"),
     ("navigation", {"city": "hills", "at_goal": "land"}, "drones land on flat ground only"),
     ("navigation", {"city": "hills", "take_off": True}, "drones land on flat ground only"),
+    ("patrol", {"city": "hills"}, "turn off take-off, landing and charging pads"),
     ("navigation", {"city": "hills", "height": (0.3, 5.0)}, "at least 0.413 m above the slopes"),
     ("navigation", {"city": {"relief": 5.0}}, "a dict of terrain needs the key 'kind'"),
     ("navigation", {"city": {"kind": "urban"}}, "unknown kind of terrain 'urban'"),

@@ -8,7 +8,7 @@ from bulletuav.envs.worlds import Worlds
 
 
 class DrainBatteries(Stage):
-    """Drain the batteries by the power of flight and payload; compute their voltage."""
+    """Drain batteries by the power of flight and payload, charge them; compute their voltage."""
 
     name = "energy"
     reads = ("before", "swarm", "wind", "flown", "scene", "payload", "energy")
@@ -19,5 +19,9 @@ class DrainBatteries(Stage):
         state, task = worlds.state, worlds.task
         if task.overrides_method("payload_power"):
             program.callback(lambda: np.copyto(state.payload, task.payload_power(state.scene)))
-        taken = (state.wind, state.payload, state.flown)
+        charging: np.ndarray | None = None
+        if task.overrides_method("charging_power"):
+            charging = given = np.zeros(state.payload.shape)
+            program.callback(lambda: np.copyto(given, task.charging_power(state.scene)))
+        taken = (state.wind, state.payload, state.flown, charging)
         worlds.energy.add_to(program, state.before, state.swarm, *taken)

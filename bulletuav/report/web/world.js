@@ -47,6 +47,8 @@ void main() {
   gl_FragColor = vec4(mix(colour, sky, smoothstep(0.1, 0.95, length(aside) / reach)), 1.0);
   #include <colorspace_fragment>
 }`;
+const PAD = 0x1a8cbf; // colour of charging pads
+const PAD_HEIGHT = 0.05; // height at which they are drawn, m
 const MOST_EDGES = 200000; // maximum number of a city's triangles up to which its edges are drawn
 
 /** Return the bounding box of the scene with a margin, its centre and its size. */
@@ -90,6 +92,7 @@ export class World extends Group {
     this.addGround(middle, size);
     this.addCity();
     this.addObstacles();
+    this.addPads();
   }
 
   addGround(middle, size) {
@@ -185,6 +188,17 @@ export class World extends Group {
     this.matrix4 = new Matrix4();
     this.placeObstacles();
     this.add(this.bodies);
+  }
+
+  /** Add the zones of charging pads, slightly above the ground. */
+  addPads() {
+    const { places, radius } = this.episode.about.pads;
+    const material = new MeshLambertMaterial({ color: PAD });
+    for (const [x, y, z] of places) {
+      const pad = new Mesh(new CircleGeometry(radius, 32), material);
+      pad.position.set(x, y, z + PAD_HEIGHT);
+      this.add(pad);
+    }
   }
 
   placeObstacles() {

@@ -1,4 +1,4 @@
-"""Observation blocks of targets that drones see, and of charge and power."""
+"""Observation blocks of targets that drones see or visit, and of charge and power."""
 
 from typing import Any
 
@@ -9,11 +9,13 @@ from bulletuav.sensors.base import Label, vector_labels
 from bulletuav.sensors.sight import AHEAD
 from bulletuav.tasks.frame import Frame
 from bulletuav.tasks.ingredients import block
-from bulletuav.tasks.observations.base import Block, make_missing_error
+from bulletuav.tasks.observations.base import Block, make_missing_error, require_task_memory
 from bulletuav.tasks.targets import compute_seen_fraction
 
 MAX_POWER = 1000.0
 """Bound of observed power, W"""
+NUM_CELLS = 12
+"""Maximum number of the nearest squares whose idleness is observed"""
 
 
 @register("observation")
@@ -153,3 +155,40 @@ def require_targets(task: Any, name: str) -> None:
     """
     if not task.num_targets:
         raise make_missing_error(task, name)
+
+
+@register("observation")
+def idleness(task: Any) -> Block:
+    """Time since squares of the ground were last visited: mean, and those of some squares.
+
+    The mean of all squares comes first, then the horizontal position relative to the drone and the
+    idleness of the most idle square, and of the nearest ones, sorted by distance. Idleness is known
+    to all drones.
+    """
+    require_task_memory(task, "idleness", ("idleness",))
+    size = task.arena_high - task.arena_low
+    near = min(NUM_CELLS, task.num_targets)
+    time = task.context.duration
+    labels = [Label("mean idleness", "s", 0.0, time)]
+    for name in ("most idle", *(f"square {k}" for k in range(1, near + 1))):
+        labels += vector_labels(name, "m", -size, size)[:2]
+        labels.append(Label(f"{name} idleness", "s", 0.0, time))
+
+    def compute(frame: Frame, present: np.ndarray) -> np.ndarray:
+        scene = frame.scene
+        idle, active = scene.memory["idleness"], task.active_targets(scene)
+        cells = task.targets(scene)[:, None, :, :2]
+        offset = cells - frame.known_position[:, :, None, :2]
+        squared = offset[..., 0] * offset[..., 0] + offset[..., 1] * offset[..., 1]
+        squared = np.where(active[:, None], squared, np.inf)
+        nearest = np.argsort(squared, axis=-1, kind="stable")[..., :near]
+        most = np.broadcast_to(idle.argmax(axis=1)[:, None, None], (*present.shape, 1))
+        chosen = np.concatenate([most, nearest], axis=-1)[..., None]
+        times = np.broadcast_to(idle[:, None, :, None], (*squared.shape, 1))
+        rows = np.take_along_axis(np.concatenate([offset, times], axis=-1), chosen, axis=2)
+        mean = (idle.sum(axis=1) / active.sum(axis=1))[:, None, None] + np.zeros(
+            (*present.shape, 1)
+        )
+        return np.concatenate([mean, rows.reshape(*present.shape, -1)], axis=-1)
+
+    return Block(tuple(labels), compute)

@@ -1,4 +1,4 @@
-"""Observation blocks of the drones' service to users on the ground."""
+"""Observation blocks of service to users on the ground, and of charging pads there."""
 
 from typing import Any
 
@@ -6,7 +6,7 @@ import numpy as np
 
 from bulletuav.network.link import capacity
 from bulletuav.registry import register
-from bulletuav.sensors.base import Label
+from bulletuav.sensors.base import Label, vector_labels
 from bulletuav.tasks.frame import Frame
 from bulletuav.tasks.observations.base import Block, require_task_memory
 
@@ -65,3 +65,35 @@ def link_rates(task: Any) -> Block:
         return rate
 
     return Block(labels, compute)
+
+
+@register("observation")
+def pads(task: Any) -> Block:
+    """Nearest charging pads: relative position, and whether it charges another drone.
+
+    Sorted by horizontal distance. The last number is 1 while the drone itself is being charged.
+    Pads measure relative positions, which are therefore free of GPS errors.
+    """
+    require_task_memory(task, "pads", ("pad", "pad_drone"))
+    size = task.arena_high - task.arena_low
+    shown = min(task.memory()["pad_drone"][0], task.context.num_neighbours)
+    labels: list[Label] = []
+    for k in range(1, shown + 1):
+        labels += vector_labels(f"pad {k}", "m", -size, size)
+        labels.append(Label(f"pad {k} taken", "1", 0.0, 1.0))
+    labels.append(Label("charging", "1", 0.0, 1.0))
+
+    def compute(frame: Frame, present: np.ndarray) -> np.ndarray:
+        memory = frame.scene.memory
+        # The drone that each pad charges, for each observer: (W, N, K) bool
+        drone = memory["pad_drone"][:, None]
+        is_own = drone == np.arange(1, present.shape[1] + 1)[:, None]
+        is_taken = (drone > 0) & ~is_own
+        offset = memory["pad"][:, None] - frame.after.position[:, :, None]
+        rows = np.concatenate([offset, is_taken[..., None]], axis=-1)
+        squared = offset[..., 0] * offset[..., 0] + offset[..., 1] * offset[..., 1]
+        nearest = np.argsort(squared, axis=-1, kind="stable")[..., :shown, None]
+        rows = np.take_along_axis(rows, nearest, axis=2).reshape(*present.shape, 4 * shown)
+        return np.concatenate([rows, is_own.any(axis=-1)[..., None]], axis=-1)
+
+    return Block(tuple(labels), compute)

@@ -64,6 +64,14 @@ class Part:
         """Return the power of the drones' equipment, (W, N) W, summed over parts."""
         return 0.0
 
+    def charging_power(self, scene: Scene) -> np.ndarray | float:
+        """Return the power that charges the drones' batteries, (W, N) W, summed over parts."""
+        return 0.0
+
+    def observation_blocks(self) -> tuple[Any, ...]:
+        """Return the blocks that the part adds to the task's default observation."""
+        return ()
+
     def quantities(self) -> Mapping[str, Any]:
         """Return the quantities that the part derives from a frame, by name, for ingredients."""
         return {}

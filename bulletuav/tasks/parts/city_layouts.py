@@ -24,6 +24,7 @@ from bulletuav.tasks.base import Task
 from bulletuav.tasks.frame import Frame, Spawn, TaskContext
 from bulletuav.tasks.observations.base import Block
 from bulletuav.tasks.parts.base import Part
+from bulletuav.tasks.parts.charging_pads import ChargingPads, has_pads
 
 RASTER_CELL = 4.0
 """Side of the cells of the raster from which positions are drawn, m"""
@@ -75,6 +76,12 @@ class CityOptions:
             they have to fit into streets.
         obstacle_speed: Maximum speed of an obstacle on each axis, or the minimum and maximum of its
             velocity on each axis, m/s.
+        charging_pads: Number of pads on the ground that charge batteries, drawn outdoors in each
+            episode; or their positions (K, 2), m. See `ChargingPads`. Observations then include
+            the block `pads`, unless `observation` is given.
+        pad_power: Power that a pad delivers to a drone's battery, W.
+        pad_radius: Maximum horizontal distance from a pad at which it charges a drone, m.
+        pad_height: Maximum height above a pad at which it charges a drone, m.
     """
 
     city: Any = "urban"
@@ -87,6 +94,10 @@ class CityOptions:
     min_separation: float = 20.0
     obstacle_radius: float | tuple[float, float] = (0.5, 2.0)
     obstacle_speed: float | tuple[float, float] = 2.0
+    charging_pads: Any = 0
+    pad_power: float = 250.0
+    pad_radius: float = 2.0
+    pad_height: float = 3.0
 
 
 def make_cities(config: CityOptions) -> tuple[City, ...]:
@@ -255,10 +266,10 @@ class CityLayouts(Part):
     def _check_hills(self, task: Task[Any]) -> None:
         """Check that drones do not have to stand on hills, and start clear of them."""
         hilly = [city.name for city in self.cities if city.ground is not None]
-        if hilly and task.lands:
+        if hilly and (task.lands or has_pads(self.config)):
             raise ValueError(
                 f"city {hilly[0]!r} has hills, and drones land on flat ground only: "
-                f"turn off take-off and landing, or choose terrain with relief 0"
+                f"turn off take-off, landing and charging pads, or choose terrain with relief 0"
             )
         lowest = STEEP * task.context.collision_radius
         if hilly and self.config.height[0] < lowest:
@@ -360,6 +371,25 @@ class CityLayouts(Part):
         raised = places.copy()
         raised[..., 2] += city.surface(places)
         return raised
+
+    def viewpoints(self, layout: int, cell: float) -> np.ndarray:
+        """Return a place outdoors in each square of a grid that has space for a drone.
+
+        Args:
+            layout: Index of the city.
+            cell: Side of the squares, m; the grid begins at the lower corner of the city.
+
+        Returns:
+            (M, 3) place nearest to the centre of each square, m, at the height of a user's device.
+        """
+        raster, low = self._raster[layout], -self.cities[layout].sides / 2
+        square = np.floor((raster - low) / cell).astype(int)
+        offset = raster - low - (square + 0.5) * cell
+        order = np.lexsort((offset[:, 0] ** 2 + offset[:, 1] ** 2, square[:, 1], square[:, 0]))
+        is_first = np.any(np.diff(square[order], axis=0, prepend=-1) != 0, axis=1)
+        places = raster[order[is_first]]
+        heights = np.full(len(places), USER_HEIGHT)
+        return self.raise_above_ground(layout, np.column_stack([places, heights]))
 
     def places(self, rng: np.random.Generator, layout: int, count: int) -> np.ndarray:
         """Draw positions of drones, at least `min_separation` apart.
@@ -470,7 +500,7 @@ class CityLayouts(Part):
 
 
 def add_city(task: Task[Any]) -> CityLayouts:
-    """Add cities to a task and set its arena to their ground, up to the ceiling.
+    """Add cities, and pads in them, to a task; its arena is their ground, up to the ceiling.
 
     Args:
         task: The task, with options of cities.
@@ -479,11 +509,13 @@ def add_city(task: Task[Any]) -> CityLayouts:
         The cities.
 
     Raises:
-        ValueError: If the cities leave no space to fly.
+        ValueError: If the cities leave no space to fly, or options of pads are invalid.
         FileNotFoundError: If the city's file does not exist.
     """
     city_layouts = task.add(CityLayouts(task))
     task.arena_low, task.arena_high = city_layouts.low, city_layouts.high
+    if has_pads(task.config):
+        task.add(ChargingPads(task, city_layouts.outdoors))
     return city_layouts
 
 
