@@ -58,7 +58,7 @@ def _names(names: tuple[str, ...]) -> str:
 def written() -> str:
     """Return the page with the tables of a decision, and of an airspace."""
     return TEXT.format(
-        decision=tables(decision_stages(has_events=True), State),
+        decision=tables(decision_stages(has_events=True, has_rates=True), State),
         airspace=tables(airspace_stages(), AirspaceState),
     )
 

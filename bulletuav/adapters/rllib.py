@@ -267,7 +267,13 @@ def policies(
     """
     one = find_choice("by", by, GROUPINGS)
     # The task defines the teams; no world is needed
-    kind = EnvSpec(task, 1, options).task
+    spec = EnvSpec(task, 1, options)
+    kind = spec.task
+    if by == "swarm" and len(spec.observer.kinds) > 1:
+        raise ValueError(
+            "by is 'swarm', and teams observe different blocks: choose by='team', or one "
+            "observation for all"
+        )
     agents = [f"drone_{i}" for i in range(len(kind.team))]
     # Name of the policy of each agent
     if by == "team":

@@ -94,8 +94,11 @@ class DroneVectorEnv(Environment, VectorMultiAgentEnv):  # type: ignore[misc]  #
         self.metadata = {"autoreset_mode": "next_step"}
         # Spaces of one world and its agents
         self._agents = [f"drone_{i}" for i in range(self.aviary.num_drones)]
-        space = shown_space(self.aviary.observer.space(), self._symlog)
-        self.single_observation_spaces = dict.fromkeys(self._agents, space)
+        observer = self.aviary.observer
+        self.single_observation_spaces = {
+            agent: shown_space(observer.of(i).space(), self._symlog)
+            for i, agent in enumerate(self._agents)
+        }
         self.single_action_spaces = {
             agent: drone_action_space(self.aviary.action, i) for i, agent in enumerate(self._agents)
         }
@@ -193,8 +196,9 @@ class DroneVectorEnv(Environment, VectorMultiAgentEnv):  # type: ignore[misc]  #
             ]
         if self._symlog:
             values = compressed(values)
+        own = self.aviary.observer.unpadded
         return [
-            {self._agents[i]: part(values, (w, i)) for i in np.flatnonzero(mask)}
+            {self._agents[i]: own(part(values, (w, i)), i) for i in np.flatnonzero(mask).tolist()}
             for w, mask in enumerate(there)
         ]
 

@@ -55,12 +55,13 @@ class TeamAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  # has
         sources = opponents.values() if isinstance(opponents, Mapping) else (opponents,)
         needed = joint_options([find_policy(one, task, trust).options for one in sources])
         self.env = ParallelAviary(task, **{**needed, **options})
-        self._observer = self.env.aviary.observer
         self._trust = trust
         groups = self.env.group_map
         self.team = team
         self.possible_agents: list[str] = find_choice("team", team, groups)
         self.group_map = {team: self.possible_agents}
+        # The drones of a team observe the same blocks
+        self._observer = self.env.aviary.observer.of(team_rows(self.env.aviary.task)[team][0])
         self.metadata = {**self.env.metadata, "group_map": self.group_map}
         self.render_mode = self.env.render_mode
         self.agents: list[str] = []
@@ -164,7 +165,7 @@ class TeamAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  # has
 
     def _stack_observations(self) -> Observation:
         """Stack the last observations, (1, N, ...), with zeros for drones that have left."""
-        env, space = self.env, self._observer.space()
+        env, space = self.env, self.env.aviary.observer.space()
         if not isinstance(space, Dict):
             return _stack(self._seen, env.possible_agents, space)[None]
         entries: Observation = {}
@@ -222,9 +223,12 @@ class TeamAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  # has
 
 
 def _stack(seen: ByAgent, agents: list[str], space: Space[Any]) -> np.ndarray:
-    """Stack observations of agents, (N, ...), with zeros for missing ones."""
-    nothing = np.zeros(space.shape or (), dtype=space.dtype)
-    return np.stack([seen.get(agent, nothing) for agent in agents])
+    """Stack observations of agents, (N, ...), with zeros for missing ones, and as padding."""
+    stacked = np.zeros((len(agents), *(space.shape or ())), dtype=space.dtype)
+    for row, agent in zip(stacked, agents, strict=True):
+        if agent in seen:
+            row[: len(seen[agent])] = seen[agent]
+    return stacked
 
 
 class CentralTeamAviary(LabelledEnvironment, gymnasium.Env[Any, Any]):
@@ -247,7 +251,7 @@ class CentralTeamAviary(LabelledEnvironment, gymnasium.Env[Any, Any]):
     ) -> None:
         """Make the environment; see `team_env`."""
         self.env = TeamAviary(task, team, opponents, trust, **options)
-        self._observer = self.env.env.aviary.observer
+        self._observer = self.env._observer
         self.render_mode = self.env.render_mode
         self._agents = self.env.possible_agents
         boxes = self.env.observation_spaces, self.env.action_spaces

@@ -124,6 +124,12 @@ class DroneTensorEnv(Environment, EnvBase):  # type: ignore[misc]  # has no type
         self._seed: int | None = None
         self._unseeded = np.zeros(num_worlds, dtype=bool)
         self._last: Arrays = {}
+        # Numbers that the drones of each group observe, if these differ
+        kinds, of = spec.observer.kinds, spec.observer.of
+        self._widths = {
+            group: max(len(of(i).labels) for i in own) if len(kinds) > 1 else None
+            for group, own in rows.items()
+        }
         self._make_specs(spec, rows)
 
     def _make_specs(self, spec: EnvSpec, groups: dict[str, list[int]]) -> None:
@@ -138,7 +144,8 @@ class DroneTensorEnv(Environment, EnvBase):  # type: ignore[misc]  # has no type
         for group, rows in groups.items():
             count = len(rows)
             chosen = _action_spec(spec.action, rows, self._one_hot).to(self.device)
-            entries = {"observation": self._observed(count), "mask": self._flag(count)}
+            width = self._widths[group]
+            entries = {"observation": self._observed(count, width), "mask": self._flag(count)}
             if self._has_masks:
                 entries[ACTION_MASK] = self._flag(count, int(spec.action.choices or 0))
             if self._infos:
@@ -162,9 +169,11 @@ class DroneTensorEnv(Environment, EnvBase):  # type: ignore[misc]  # has no type
         """Return an unbounded spec of floats: drones that have left have zeros."""
         return Unbounded(shape=shape, dtype=torch.float32, device=self.device)
 
-    def _observed(self, count: int) -> Any:
-        """Return the spec of the observations of `count` drones."""
+    def _observed(self, count: int, width: int | None) -> Any:
+        """Return the spec of the observations of `count` drones, of `width` numbers if given."""
         space = self.batch.observation_space
+        if width is not None:
+            return self._number(count, width)
         parts = getattr(space, "spaces", {"": space})
         specs = {
             name: Unbounded(
@@ -303,6 +312,9 @@ class DroneTensorEnv(Environment, EnvBase):  # type: ignore[misc]  # has no type
         of_drones["mask",] = self._alive.copy()
         for group, rows in self._rows.items():
             own = {key: torch.from_numpy(array[:, rows]) for key, array in of_drones.items()}
+            width = self._widths[group]
+            if width is not None:
+                own["observation",] = own["observation",][..., :width]
             drones = (self.num_worlds, len(self.group_map[group]))
             source[group] = TensorDict(own, batch_size=drones, device=self.device)
             if self._has_masks:

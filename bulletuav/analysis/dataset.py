@@ -23,6 +23,7 @@ from bulletuav.files import replace_file
 from bulletuav.parsing import read_json
 from bulletuav.policies import PolicySource, find_policy
 from bulletuav.tasks import TaskSource, find_task
+from bulletuav.tasks.observations.observer import ObservationBuilder
 
 TABLES = "parquet"
 """Folder of the Parquet tables, one for each batch of episodes"""
@@ -159,13 +160,14 @@ def _write(transitions: Transitions, folder: Path) -> None:
 def _finish(folder: Path, tables: list[Path], about: dict[str, Any], spec: EnvSpec) -> list[Path]:
     """Write a Minari dataset for each drone, and the index `dataset.json`."""
     ends = {end["episode"]: end for path in tables for end in read_about(path)}
-    spaces = (spec.observer.space(), widest_action_space(spec.action))
+    action, observer = widest_action_space(spec.action), spec.observer
     policy = "".join(letter if letter.isalnum() else "_" for letter in about["policy"])
     metadata = {"algorithm_name": about["policy"], "bulletuav": about["bulletuav"]}
     written = []
     for drone in range(spec.options.num_drones):
         name = f"{about['task']}/{policy}/drone_{drone}-v0"
-        flights = _flights(tables, drone, ends)
+        flights = _flights(tables, drone, ends, observer)
+        spaces = (observer.of(drone).space(), action)
         written.append(write_minari(flights, spaces, metadata, name, folder / MINARI))
     files = hash_files(folder, [f"{TABLES}/{path.name}" for path in tables])
     path = folder / DATASET
@@ -174,7 +176,9 @@ def _finish(folder: Path, tables: list[Path], about: dict[str, Any], spec: EnvSp
     return [*written, path]
 
 
-def _flights(tables: list[Path], drone: int, ends: dict[int, Any]) -> Iterator[MinariEpisode]:
+def _flights(
+    tables: list[Path], drone: int, ends: dict[int, Any], observer: ObservationBuilder
+) -> Iterator[MinariEpisode]:
     """Read the flights of one drone, episode by episode."""
     for path in tables:
         rows = read_table(path)
@@ -190,9 +194,10 @@ def _flights(tables: list[Path], drone: int, ends: dict[int, Any]) -> Iterator[M
             # Final observations are stored separately, one per flight
             own = slice(begin, bounds[k + 1])
             end = ends[int(rows["episode"][begin])]
+            observed = np.concatenate([rows["observation"][own], finals[k : k + 1]])
             yield MinariEpisode(
                 seed=end["seed"],
-                observations=np.concatenate([rows["observation"][own], finals[k : k + 1]]),
+                observations=observer.unpadded(observed, drone),
                 actions=rows["action"][own],
                 rewards=rows["reward"][own],
                 terminations=rows["terminated"][own],

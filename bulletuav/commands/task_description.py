@@ -16,6 +16,7 @@ from bulletuav.dynamics import DYNAMICS
 from bulletuav.envs.env_spec import EnvSpec
 from bulletuav.envs.options import EnvOptions
 from bulletuav.envs.resolve_options import resolve_options
+from bulletuav.envs.teams import team_rows
 from bulletuav.tasks import find_task
 from bulletuav.tasks.base import Task
 from bulletuav.tasks.ingredients import find_term
@@ -48,16 +49,22 @@ def observation_table(task: str, options: Mapping[str, Any]) -> Table:
         options: Options of the environment, on which the observation depends.
 
     Returns:
-        A table with the index, name, unit and bounds of each number, and a row for each picture.
+        A table with the index, name, unit and bounds of each number, and a row for each picture. If
+        teams observe different blocks, the index follows the name of the team.
     """
     spec = EnvSpec(task, 1, dict(options))
     table = Table(title=f"observation of {task}, one drone of {spec.options.num_drones}, float32")
     for heading in ("index", "number", "unit", "low", "high"):
         table.add_column(heading, justify="left" if heading in ("number", "unit") else "right")
-    numbers = zip(spec.observer.labels, spec.observer.low, spec.observer.high, strict=True)
+    kinds = {"": spec.observer}
+    if len(spec.observer.kinds) > 1:
+        teams = team_rows(spec.task).items()
+        kinds = {f"{team} ": spec.observer.of(rows[0]) for team, rows in teams}
     # First the numbers of the vector by index, then the images by name
-    for index, (label, low, high) in enumerate(numbers):
-        table.add_row(str(index), label.name, label.unit, f"{low:g}", f"{high:g}")
+    for team, observer in kinds.items():
+        numbers = zip(observer.labels, observer.low, observer.high, strict=True)
+        for index, (label, low, high) in enumerate(numbers):
+            table.add_row(f"{team}{index}", label.name, label.unit, f"{low:g}", f"{high:g}")
     for name in spec.observer.images:
         table.add_row(name, "picture", "", "", "")
     return table

@@ -53,7 +53,8 @@ class Aviary(Environment):
         options: Common options.
         task: The task.
         action: Definition of actions.
-        observer: Computes observations; has their labels, and splits them by name.
+        observer: Computes observations; has their labels, and splits them by name. `of(i)` is that
+            of drone i, if teams observe different blocks.
         global_state: Computes the global state; has its labels, and splits it by name.
         swarm: State of the drones, (W, N, ...).
         scene: Goals, obstacles and the task's memory.
@@ -210,7 +211,7 @@ class Aviary(Environment):
         ):
             given[:] = actions  # the program checks them
         else:
-            given[:] = self._spec.actions(actions, self.alive)
+            given[:] = self._spec.actions(actions, self.decides)
         self.decide()
         ends = (self.terminated.copy(), self.truncated.copy())
         return Step(self.observations(), self.rewards.copy(), *ends, lazy_infos(self.info_table()))
@@ -307,10 +308,15 @@ class Aviary(Environment):
             raise ValueError("this environment computes no masks: make it with action_masks=True")
         return self.worlds.action_masks()
 
+    @property
+    def decides(self) -> np.ndarray:
+        """(W, N) bool: active drones whose next action is flown; see option `decision_every`."""
+        return self.worlds.decides()
+
     def require_action(self, drone: int, numbers: np.ndarray) -> None:
         """Raise ValueError for an invalid action (A,) of a drone; nothing is simulated."""
         given, chosen = np.zeros(self.given.shape), np.zeros(self.alive.shape, dtype=bool)
-        given[:, drone], chosen[:, drone] = numbers, True
+        given[:, drone], chosen[:, drone] = numbers, self.decides[:, drone]
         self._spec.actions(given, chosen)
 
     @exclusive

@@ -176,7 +176,8 @@ def _arrays(aviary: Aviary, observations: Any) -> list[np.ndarray]:
     for name, part in parts.items():
         if not np.isfinite(part).all():
             where = np.argwhere(~np.isfinite(part))[0]
-            label = aviary.observer.labels[where[-1]].name if name == "vector" else name
+            labels = aviary.observer.of(int(where[1])).labels
+            label = labels[where[-1]].name if name == "vector" else name
             raise ValueError(f"observation {label!r} is NaN or infinite: finite numbers are needed")
     return list(parts.values())
 

@@ -55,7 +55,6 @@ def describe_options(options: EnvOptions, config: Any) -> dict[str, Any]:
     """
     ranges = options.randomization.ranges
     random = {name: ranges[name] for name in options.randomization.active}
-    observed = options.observation
     own = {one.name: getattr(config, one.name) for one in dataclasses.fields(config)}
     city = own.get("city")
     if isinstance(city, City | Path):
@@ -72,7 +71,7 @@ def describe_options(options: EnvOptions, config: Any) -> dict[str, Any]:
         "events": [event.described() for event in options.events],
         "communication": options.communication and options.communication.described(),
         "dynamics": options.dynamics_name,
-        "observation": observed and [observation_name(one) for one in observed],
+        "observation": _observed_names(options.observation),
         "sensors": [find_sensor(one).name for one in options.sensors],
         "reward": {
             name: (observation_name(term), weight)
@@ -80,6 +79,13 @@ def describe_options(options: EnvOptions, config: Any) -> dict[str, Any]:
         },
         **own,
     }
+
+
+def _observed_names(observation: Any) -> Any:
+    """Return the names of the blocks of an observation, or of that of each team."""
+    if isinstance(observation, Mapping):
+        return {team: _observed_names(one) for team, one in observation.items()}
+    return observation and [observation_name(one) for one in observation]
 
 
 def describe_parts(

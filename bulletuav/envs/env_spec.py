@@ -1,6 +1,7 @@
 """Validated options, task, action and observation of an environment, before an engine exists."""
 
 import dataclasses
+import itertools
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -39,6 +40,7 @@ from bulletuav.tasks.frame import TaskContext
 from bulletuav.tasks.given import DRAWN, PLACES, GivenStart
 from bulletuav.tasks.ingredients import find_term
 from bulletuav.tasks.observations.images import ARRAY
+from bulletuav.tasks.observations.mixed import MixedObservations
 from bulletuav.tasks.observations.observer import (
     STATE,
     ObservationBuilder,
@@ -75,6 +77,7 @@ class EnvSpec:
         task: The task.
         given: Starts from the options: positions and goals.
         action: Definition of actions.
+        decision_every: (N,) decisions of the world for each one of a drone; None for 1.
         observer: Computes the observations.
         state: Computes the global state.
         sensors: All available sensors, by name.
@@ -97,12 +100,19 @@ class EnvSpec:
         given = read_given_positions(self.task, *places)
         self.given = DRAWN if given.is_empty else GivenStart(given)
         self.action = _make_action(self.options, self.task)
+        rates = self.options.decision_every
+        self.decision_every = (
+            None if rates is None else np.array(of_drones("decision_every", rates, self.task))
+        )
         # Observations determine which sensors are needed
         given_blocks = self.options.observation
-        sources = self.task.observation_blocks() if given_blocks is None else given_blocks
+        asked = self.task.observation_blocks() if given_blocks is None else given_blocks
         if self.options.communication is not None:
-            sources = self._add_messages(self.options.communication, tuple(sources))
-        self._check_observation(sources)
+            asked = self._add_messages(self.options.communication, asked)
+        for one in asked.values() if isinstance(asked, Mapping) else (asked,):
+            self._check_observation(one)
+        kinds, kind_of = _kinds_of_drones(asked, self.task)
+        sources = _joined(kinds)
         self._names = {observation_name(source) for source in sources}
         wanted = self._wanted(sources)
         self._check_cameras(wanted)
@@ -113,15 +123,17 @@ class EnvSpec:
         # Names in ingredients and blocks are resolved once, here
         binding = self.task.bind(readings | ENERGY_READINGS, self.options.reward)
         parts = (self.task, self.action, binding, self.sensors, self.setup)
-        form: Any = self.options.observation_format
-        self.observer = ObservationBuilder(
-            sources,
-            *parts,
-            normalise=self.options.normalise,
-            form=form,
-            num_frames=self.options.frame_stack,
-            camera_format=self.options.camera_format,
-        )
+        settings: dict[str, Any] = {
+            "normalise": self.options.normalise,
+            "form": self.options.observation_format,
+            "num_frames": self.options.frame_stack,
+            "camera_format": self.options.camera_format,
+        }
+        self.observer = ObservationBuilder(sources, *parts, **settings)
+        if len(kinds) > 1:
+            self.observer.require_vectors()
+            made = [ObservationBuilder(one, *parts, **settings) for one in kinds]
+            self.observer = MixedObservations(made, kind_of, self.observer)
         self._check_pictures()
         if getattr(self.task, "respawns", False) and count_bodies(self.options.bodies):
             raise ValueError(
@@ -141,8 +153,8 @@ class EnvSpec:
         if isinstance(consumes, SetpointLevel):
             self.options.check_setpoint_levels(self.action.kind_levels, consumes)
 
-    def _add_messages(self, channel: Channel, sources: tuple[Any, ...]) -> tuple[Any, ...]:
-        """Add messages to actions, sensors and the observed blocks, which are returned."""
+    def _add_messages(self, channel: Channel, observation: Any) -> Any:
+        """Add messages to actions, sensors and the observation, or that of each team."""
         is_discrete = self.action.choices is not None
         messages = Messages(channel, is_discrete)
         if messages.name in self.sensors:
@@ -151,7 +163,14 @@ class EnvSpec:
             )
         self.sensors = {**self.sensors, messages.name: messages}
         self.action = add_message(self.action, channel.size, channel.tokens)
-        return sources if messages.name in sources else (*sources, messages.name)
+
+        def added(sources: Any) -> tuple[Any, ...]:
+            listed = tuple(sources)
+            return listed if messages.name in listed else (*listed, messages.name)
+
+        if isinstance(observation, Mapping):
+            return {team: added(sources) for team, sources in observation.items()}
+        return added(observation)
 
     def _check_absent(self, kind: type[Task[Any]]) -> None:
         """Raise ValueError for a drawn number of drones in tasks that need all of them."""
@@ -259,7 +278,8 @@ class EnvSpec:
         pictures = stored * math.prod(self.options.camera_size)
         others = drones if {"neighbours", "all_neighbours"} & self._names else 0
         pictures *= 1 + self.options.frame_stack
-        observed = 2 * self.observer.low.size + pictures + 3 * others + 2 * task.num_targets
+        features = sum(one.low.size for one in self.observer.kinds)
+        observed = 2 * features + pictures + 3 * others + 2 * task.num_targets
         obstacles = len(task.obstacles()) + count_bodies(self.options.bodies)
         things = OBSTACLE_BYTES * obstacles + LAYOUT_BYTES * len(task.layouts())
         return (BODY_BYTES + NUMBER_BYTES * observed) * drones + self.state_bytes() + things
@@ -490,6 +510,36 @@ def _names_of_drones(options: EnvOptions, task: Task[Any]) -> Sequence[str]:
     if isinstance(action, str):
         return (action,) * options.num_drones
     return of_drones("action", action, task) if isinstance(action, Mapping) else action
+
+
+def _kinds_of_drones(observation: Any, task: Task[Any]) -> tuple[list[tuple[Any, ...]], list[int]]:
+    """Return the different observations of the drones, and the index of each drone's own."""
+    drones = len(task.team)
+    if not isinstance(observation, Mapping):
+        return [tuple(observation)], [0] * drones
+    each = [tuple(one) for one in of_drones("observation", observation, task)]
+    kinds: list[tuple[Any, ...]] = []
+    for one in each:
+        if one not in kinds:
+            kinds.append(one)
+    return kinds, [kinds.index(one) for one in each]
+
+
+def _joined(kinds: Sequence[tuple[Any, ...]]) -> tuple[Any, ...]:
+    """List the blocks of several observations once.
+
+    Raises:
+        ValueError: If two different blocks have the same name.
+    """
+    by_name: dict[str, Any] = {}
+    for source in itertools.chain.from_iterable(kinds):
+        name = observation_name(source)
+        if by_name.setdefault(name, source) != source:
+            raise ValueError(
+                f"observation has different blocks of the name {name!r} for different teams: "
+                f"rename one of them"
+            )
+    return tuple(by_name.values())
 
 
 def _check_masks(options: EnvOptions, action: Action) -> None:

@@ -219,6 +219,7 @@ class EpisodeStart:
             account, program = self._account_update()
             arrays = [*worlds.state_arrays().values(), *worlds.last_arrays().values()]
             arrays += [*account.conflict, *account[1:], worlds.vector, self._no_worlds]
+            arrays += observer.scratch()
             update = by_world(program, arrays)
             observe = by_world(observing, arrays)
             self.by_world_programs = (

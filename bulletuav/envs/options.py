@@ -78,6 +78,9 @@ class EnvOptions:
             setpoint level that the dynamics supports, such as "velocity" in "point_mass".
         decision_hz: Decisions per second: a whole number that divides physics_hz; or from 0.1 to 1
             (decisions of up to 10 s), if a decision has a whole number of substeps.
+        decision_every: A dict from the names of the task's teams to whole numbers: drones of a team
+            with k decide in every k-th decision of the world, from the first one on, and fly their
+            last action in between. Infos have "decides". None for 1 for all.
         horizon: Number of decisions after which an episode is truncated.
         max_speed: Scale of velocity actions, m/s; at most the airframe's maximum speed.
         max_climb: Limit of the vertical velocity of velocity actions, up and down, m/s; None for
@@ -87,7 +90,8 @@ class EnvOptions:
             class derived from `bulletuav.dynamics.base.Dynamics`. The default is "bullet", or
             "rigid_body", with a warning, where PyBullet is not installed.
         observation: Names of observation blocks and of sensor readings, or block objects, which are
-            concatenated; None for the task's default.
+            concatenated; or a dict from the names of the task's teams to such lists, then without
+            pictures; None for the task's default.
         observation_format: "vector", or "dict" with an entry for each block.
         sensors: Additional sensors, or replacements of built-in ones: objects or names.
         reward: "benchmark" for the weights by which the task is evaluated (the default), or
@@ -180,7 +184,7 @@ class EnvOptions:
     horizon: int
     max_speed: float
     dynamics: str = DEFAULT_DYNAMICS
-    observation: tuple[Any, ...] | None = None
+    observation: tuple[Any, ...] | Mapping[str, tuple[Any, ...]] | None = None
     observation_format: str = "vector"
     sensors: tuple[Any, ...] = ()
     reward: Mapping[str, tuple[Any, float]] = field(default_factory=dict)
@@ -226,6 +230,7 @@ class EnvOptions:
     action_masks: bool = False
     min_drones: int | None = None
     communication: Channel | None = None
+    decision_every: Mapping[str, int] | None = None
 
     def __post_init__(self) -> None:
         for name, most in MAX_COUNTS.items():
@@ -253,6 +258,7 @@ class EnvOptions:
             self._keep("contacts", dynamics.contacts[0])
         find_choice("contacts", self.contacts, dict.fromkeys(dynamics.contacts))
         self._keep("action", _as_action(self.action, self.num_drones))
+        self._keep("decision_every", _as_decision_every(self.decision_every))
         choices = {"controller": tuple(CONTROLLERS)}
         choices |= {"lidar_frame": FRAMES, "energy": ENERGIES, "observation_format": FORMATS}
         choices |= {"camera_format": CAMERA_FORMATS, "camera_depth": DEPTHS}
@@ -510,6 +516,22 @@ def _as_action(action: Any, num_drones: int) -> ActionNames:
     for name in action:
         find_choice("action", name, ACTIONS)
     return action[0] if len(set(action)) == 1 else tuple(action)
+
+
+def _as_decision_every(given: Any) -> dict[str, int] | None:
+    """Return the option `decision_every` with its numbers checked."""
+    if given is None:
+        return None
+    if not isinstance(given, Mapping):
+        raise ValueError(
+            f"decision_every is {shown(given)}: a dict from teams to whole numbers is needed; "
+            f"decision_hz changes the rate of all drones"
+        )
+    most = MAX_COUNTS["horizon"]
+    return {
+        team: as_int(f"decision_every of team {shown(team)}", number, 1, most)
+        for team, number in given.items()
+    }
 
 
 def check_names(name: str, what: str, given: Any, known: Sequence[str]) -> None:

@@ -71,7 +71,11 @@ class ParallelAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  #
         # Actions of the same size can be copied together
         alike = {action.size(i) for i in range(common.num_drones)} == {action.low.shape[1]}
         self._together = alike and action.choices is None
-        self.observation_spaces = {agent: self._observer.space() for agent in self.possible_agents}
+        observer = self.aviary.observer
+        self.observation_spaces = {
+            agent: observer.of(i).space() for i, agent in enumerate(self.possible_agents)
+        }
+        self._is_padded = len(observer.kinds) > 1
         self.action_spaces = {
             agent: drone_action_space(self.aviary.action, i)
             for i, agent in enumerate(self.possible_agents)
@@ -152,6 +156,8 @@ class ParallelAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  #
         seen, rewards, terminated, truncated, any_ended = results
         if isinstance(observations, dict):
             seen = self._by_agent(observations, rows)
+        elif self._is_padded:
+            seen = self._unpadded(seen)
         infos = self._infos(aviary.info_table(), rows)
         # Agents leave after the step that ended their episode
         if any_ended:
@@ -185,7 +191,13 @@ class ParallelAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  #
         """Split observations (1, N, ...) by active agent."""
         if isinstance(observations, dict):
             return {agent: part(observations, (0, self._rows[agent])) for agent in self.agents}
-        return dict(zip(self.agents, _rows_of(observations, rows), strict=True))
+        seen = dict(zip(self.agents, _rows_of(observations, rows), strict=True))
+        return self._unpadded(seen) if self._is_padded else seen
+
+    def _unpadded(self, seen: ByAgent) -> ByAgent:
+        """Cut padded vectors to the numbers that each agent observes."""
+        observer = self.aviary.observer
+        return {agent: observer.unpadded(one, self._rows[agent]) for agent, one in seen.items()}
 
     def _infos(
         self, make_infos: Callable[[], dict[str, np.ndarray]], rows: list[int] | None

@@ -156,11 +156,17 @@ def make_tuples(values: dict[str, Any]) -> None:
     """Convert list options to tuples, including single entries of such lists."""
     for name in LIST_OPTIONS:
         value = values.get(name)
-        if isinstance(value, str) or (name in INGREDIENTS and _is_ingredient(value)):
-            values[name] = (value,)
+        if name == "observation" and isinstance(value, Mapping):
+            values[name] = {team: _listed(name, one) for team, one in value.items()}
         elif name in values and not _is_unlisted(name, value):
-            most = MAX_NAMES if name in NAME_LISTS else None
-            values[name] = as_sequence(name, value, most=most)
+            values[name] = _listed(name, value)
+
+
+def _listed(name: str, value: Any) -> tuple[Any, ...]:
+    """Convert the value of a list option to a tuple."""
+    if isinstance(value, str) or (name in INGREDIENTS and _is_ingredient(value)):
+        return (value,)
+    return as_sequence(name, value, most=MAX_NAMES if name in NAME_LISTS else None)
 
 
 def _is_ingredient(value: Any) -> bool:

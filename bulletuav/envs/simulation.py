@@ -17,6 +17,9 @@ from bulletuav.envs.worlds import Worlds
 from bulletuav.tasks.check import check_info, check_step_result
 from bulletuav.tasks.stages import add_outcome, clear
 
+DECIDES = "decides"
+"""Info of drones whose next action is flown, with the option `decision_every`"""
+
 
 class Simulation:
     """Simulates W worlds of N drones that fly one task, decision by decision.
@@ -39,7 +42,10 @@ class Simulation:
             first_seed: Seed of the first world if a reset has none.
         """
         self.worlds = worlds
-        self.stages: tuple[Stage, ...] = decision_stages(bool(worlds.schedule.events))
+        self._has_rates = worlds.spec.decision_every is not None
+        self.stages: tuple[Stage, ...] = decision_stages(
+            bool(worlds.schedule.events), self._has_rates
+        )
         self.start = EpisodeStart(worlds, first_seed)
         self.program: Program | None = None
         self._staged: tuple[Program, dict[str, Program]] | None = None
@@ -168,7 +174,7 @@ class Simulation:
         terms = [*result.terms, *task.extra_terms(frame)]
         self.worlds.results = Results(terms, shape, task.has_goals)
         worlds = self.worlds
-        own = task.overrides_method("info") or worlds.masks is not None
+        own = task.overrides_method("info") or worlds.masks is not None or self._has_rates
         self._has_further_infos = own or bool(
             task.lands or worlds.uncertainty.drawn or worlds.sensors.sensors
         )
@@ -182,6 +188,8 @@ class Simulation:
         landed = {"landed": worlds.frame.landed} if worlds.task.lands else {}
         own = worlds.task.info(worlds.frame)
         masks = {} if worlds.masks is None else {ACTION_MASK: worlds.action_masks()}
+        if self._has_rates:
+            own = {**own, DECIDES: worlds.decides()}
         return {**landed, **own, **worlds.uncertainty.info(), **worlds.sensors.info(), **masks}
 
     def observe_start(self) -> None:

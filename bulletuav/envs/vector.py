@@ -58,7 +58,8 @@ class BatchAviary(LabelledEnvironment):
         num_envs: Number of worlds W.
         num_drones: Number of drones N of a world.
         autoreset_mode: When finished worlds are reset.
-        observation_space: Observation space of one drone.
+        observation_space: Observation space of one drone. If teams observe different blocks, drones
+            with fewer numbers have zeros after them.
         action_space: Action space of one drone. In a mixed swarm drones with fewer rotors, or
             smaller actions, ignore the last numbers, which are clipped to 0.
     """

@@ -119,6 +119,11 @@ class Worlds(Parts):
         present = state.alive | state.truncated
         return masks.compute(state.swarm.position, state.swarm.velocity, present)
 
+    def decides(self) -> np.ndarray:
+        """Return the active drones whose next action is flown, (W, N) bool."""
+        every, alive = self.spec.decision_every, self.state.alive
+        return alive.copy() if every is None else alive & (self.state.steps[:, None] % every == 0)
+
     @property
     def collects_contacts(self) -> bool:
         """Whether Python adds contacts that compiled code does not know."""

@@ -34,7 +34,8 @@ def naming_task(policy: object, aviary: Aviary) -> Iterator[None]:
 
 
 def _of_another_task(name: str, lacks: str, aviary: Aviary) -> ValueError:
-    observed = [*aviary.observer.slices, *aviary.observer.images]
+    kinds = aviary.observer.kinds
+    observed = dict.fromkeys(name for one in kinds for name in (*one.slices, *one.images))
     keeps = f", and keeps {', '.join(aviary.scene.memory)} in memory" if aviary.scene.memory else ""
     return ValueError(
         f"policy {name!r} needs {lacks}: task {aviary.task.name!r} observes "

@@ -40,6 +40,7 @@ MASKABLE = "ppo"
 INTERFACE = (
     "action",
     "decision_hz",
+    "decision_every",
     "max_speed",
     "max_climb",
     "observation",

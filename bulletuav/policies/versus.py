@@ -98,8 +98,14 @@ class TeamPolicies(Policy):
         actions = np.zeros((*aviary.alive.shape, aviary.action.low.shape[-1]))
         for own, policy in self._policies:
             if own.any():
-                actions[:, own] = policy.act(observations, swarm)[:, own]
+                actions[:, own] = policy.act(self._unpadded(observations, own), swarm)[:, own]
         return actions
+
+    def _unpadded(self, observations: Observation, own: np.ndarray) -> Observation:
+        """Cut observations to the numbers that the drones of a team (N,) observe."""
+        first = int(np.argmax(own))
+        cut: Observation = self.aviary.observer.unpadded(observations, first)
+        return cut
 
     def memory(self) -> dict[str, Any]:
         """Return a copy of the state of all policies, by index; see `Policy.memory`."""

@@ -103,11 +103,13 @@ def require_task(kind: type[Task[Any]]) -> None:
                 f"{one} of task {name} is {shown(getattr(kind, one))}: a dict is needed"
             )
     # A str would be read as a tuple of letters
-    if not isinstance(kind.observation, list | tuple):
-        raise ValueError(
-            f"observation of task {name} is {shown(kind.observation)}: a tuple is needed, such as "
-            f'("velocity",)'
-        )
+    given = kind.observation
+    for observed in given.values() if isinstance(given, Mapping) else (given,):
+        if not isinstance(observed, list | tuple):
+            raise ValueError(
+                f"observation of task {name} is {shown(given)}: a tuple is needed, such as "
+                f'("velocity",), or a dict with one for each team'
+            )
     if not isinstance(kind.ends, list | tuple) or not all(map(callable, kind.ends)):
         raise ValueError(
             f"ends of task {name} are {shown(kind.ends)}: a tuple of functions is needed"

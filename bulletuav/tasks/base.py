@@ -88,7 +88,8 @@ class Task(ABC, Generic[ConfigT]):
             ones.
         version: Version of the environments; incremented when their default behaviour changes.
         presets: Named sets of option values.
-        observation: Names of observation blocks, or the blocks themselves.
+        observation: Names of observation blocks, or the blocks themselves; or a dict from the names
+            of the teams to such tuples.
         required_sensors: Readings that the task itself uses, such as "lidar".
         reward: Weight of each reward term by name, or (term, weight). Names refer to the registry
             of rewards.
@@ -135,7 +136,7 @@ class Task(ABC, Generic[ConfigT]):
     defaults: ClassVar[Mapping[str, Any]] = MappingProxyType({})
     difficulties: ClassVar[Mapping[str, Mapping[str, Any]]] = MappingProxyType({"easy": {}})
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = MappingProxyType({})
-    observation: ClassVar[tuple[Any, ...]]
+    observation: ClassVar[tuple[Any, ...] | Mapping[str, tuple[Any, ...]]]
     required_sensors: ClassVar[tuple[str, ...]] = ()
     reward: ClassVar[Mapping[str, Weighted]]
     training_weights: ClassVar[Mapping[str, float]] = MappingProxyType({})
@@ -441,10 +442,12 @@ class Task(ABC, Generic[ConfigT]):
         """
         return sum((part.charging_power(scene) for part in self.parts), 0.0)
 
-    def observation_blocks(self) -> tuple[Any, ...]:
+    def observation_blocks(self) -> tuple[Any, ...] | Mapping[str, tuple[Any, ...]]:
         """Return the default observation: the class attribute and the blocks of the parts."""
-        added = chain.from_iterable(part.observation_blocks() for part in self.parts)
-        return (*self.observation, *(one for one in added if one not in self.observation))
+        added = tuple(chain.from_iterable(part.observation_blocks() for part in self.parts))
+        if isinstance(self.observation, Mapping):
+            return {team: _joined(own, added) for team, own in self.observation.items()}
+        return _joined(self.observation, added)
 
     def quantities(self) -> Mapping[str, Any]:
         """Return the quantities that the task derives from a frame, by name, for ingredients.
@@ -545,6 +548,11 @@ def _hiding_class(kind: type[Task[Any]], method: str) -> str:
             if method not in names or callers.isdisjoint(names):
                 return owner.__name__
     return ""
+
+
+def _joined(own: tuple[Any, ...], added: tuple[Any, ...]) -> tuple[Any, ...]:
+    """Return all blocks, without those added that are there already."""
+    return (*own, *(one for one in added if one not in own))
 
 
 def _merge_tables(tables: Iterable[Mapping[str, Value]]) -> dict[str, Value]:

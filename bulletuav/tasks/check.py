@@ -25,9 +25,10 @@ STANDARD_INFOS = frozenset(
         "goal_distance",
         "power",
         "charge",
+        "decides",
     }
 )
-"""Infos of every task ("goal_distance" only if the task has goals)"""
+"""Infos of every task ("goal_distance" if the task has goals, "decides" with `decision_every`)"""
 STANDARD_PREFIXES = ("reward/", "random/")
 """Prefixes of infos that hold reward terms and randomized parameters"""
 LARGE = 100.0

@@ -1,6 +1,7 @@
 """Default settings of training runs by task."""
 
 import dataclasses
+from collections.abc import Mapping
 from typing import Any
 
 from bulletuav.policies.run import CONFIG, SCENE, RunConfig, shipped, shipped_tasks
@@ -169,8 +170,10 @@ def default_run(task: str) -> RunConfig:
     options: dict[str, Any] = {"reward": "training"}
     if issubclass(kind, GoalFlight | Default):
         # run.yaml has names of blocks, and no blocks that only the task's module names
-        named = [REPLACED.get(one, one) for one in kind.observation if isinstance(one, str)]
-        options |= {"observation": [one for one in named if one], "num_neighbours": 6}
+        own = kind.observation
+        named = [REPLACED.get(one, one) for one in own if isinstance(one, str)]
+        observed = own if isinstance(own, Mapping) else [one for one in named if one]
+        options |= {"observation": observed, "num_neighbours": 6}
         # It is fast, and policies that learn in it fly in dynamics with rotors, too
         options["dynamics"] = "point_mass"
         return _with_own(RunConfig(task, options=options, **GOAL_FLIGHT))

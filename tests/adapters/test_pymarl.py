@@ -244,6 +244,19 @@ def test_symlog_compresses_observations_and_state():
     small.close()
 
 
+def test_teams_that_observe_less_have_zeros():
+    mixed = {"chasers": ["velocity", "room"], "evaders": ["velocity"]}
+    options = {"num_drones": 4, "dynamics": "point_mass", "observation": mixed}
+    env = PymarlEnv("pursuit_evasion", reward_scalarisation="mean", **options)
+    env.reset()
+    assert env.get_obs_size() == 9
+    seen = np.array(env.get_obs())
+    assert seen.shape == (4, 9)
+    assert not seen[3, 3:].any()
+    assert seen[:3, 3:].all()
+    env.close()
+
+
 def test_all_27_directions():
     env = PymarlEnv("converge", action="discrete_27", **SHORT)
     assert env.get_total_actions() == env.get_env_info()["n_actions"] == 27

@@ -320,6 +320,31 @@ def test_choices_and_wrong_actions_of_a_vector(make):
         vector.step([rows[0] | {"drone_2": np.zeros(2)}, rows[1]])
 
 
+@pytest.mark.parametrize("symlog", [False, True])
+def test_agents_observe_the_blocks_of_their_team(make, rllib, symlog):
+    mixed = {"chasers": ["velocity", "room"], "evaders": ["velocity"]}
+    game = {"num_drones": 4, "dynamics": "point_mass", "horizon": 5, "observation": mixed}
+    config = {"task": "pursuit_evasion", "symlog": symlog, **game}
+    vector, env = make(2, **config), make(**config)
+    assert {agent: one.shape[0] for agent, one in env.observation_spaces.items()} == {
+        **dict.fromkeys(("drone_0", "drone_1", "drone_2"), 9),
+        "drone_3": 3,
+    }
+    assert vector.single_observation_spaces == env.observation_spaces
+    first, _ = vector.reset(seed=4)
+    alone, _ = env.reset(seed=4)
+    for agent, space in env.observation_spaces.items():
+        assert space.contains(first[0][agent])
+        np.testing.assert_array_equal(first[0][agent], alone[agent])
+    # A policy for all would have one size
+    with pytest.raises(ValueError, match="teams observe different blocks: choose by='team'"):
+        rllib[0].policies("pursuit_evasion", **game)
+    assert rllib[0].policies("pursuit_evasion", by="team", **game)["policies"] == {
+        "chasers",
+        "evaders",
+    }
+
+
 def test_who_shares_a_policy(rllib):
     policies = rllib[0].policies
     shared = policies("crossing", num_drones=4)

@@ -269,6 +269,30 @@ def test_in_a_mixed_swarm_a_group_has_the_numbers_of_its_widest_drone():
     apart.close()
 
 
+@pytest.mark.parametrize("workers", [1, 2])
+def test_groups_have_the_numbers_that_their_team_observes(workers):
+    options = {"num_drones": 4, "dynamics": "point_mass", "horizon": 5, "workers": workers}
+    mixed = {"chasers": ["velocity", "room"], "evaders": ["velocity"]}
+    env = DroneTensorEnv("pursuit_evasion", 2, observation=mixed, **options)
+    check_env_specs(env)
+    flight = flown(env, 4)
+    assert flight["chasers", "observation"].shape == (2, 4, 3, 9)
+    assert flight["evaders", "observation"].shape == (2, 4, 1, 3)
+    # One group has the numbers of its widest drone
+    joined = DroneTensorEnv(
+        "pursuit_evasion", 2, observation=mixed, group_map="ALL_IN_ONE_GROUP", **options
+    )
+    check_env_specs(joined)
+    joined.set_seed(0)
+    seen = joined.reset()["agents", "observation"]
+    assert seen.shape == (2, 4, 9)
+    assert torch.equal(seen[:, :3], flight["chasers", "observation"][:, 0])
+    assert torch.equal(seen[:, 3:, :3], flight["evaders", "observation"][:, 0])
+    assert not seen[:, 3, 3:].any()
+    env.close()
+    joined.close()
+
+
 def test_groups_are_teams_or_what_one_asks_for():
     env = DroneTensorEnv("crossing", 1, group_map="ALL_IN_ONE_GROUP", **SHORT)
     assert env.group_map == {"agents": ["drone_0", "drone_1", "drone_2"]}

@@ -179,3 +179,23 @@ def test_absent_drones_have_no_transitions(tmp_path):
     # The same call continues, although JSON has no tuples
     collect("crossing", "straight", episodes=6, out=tmp_path, **options)
     aviary.close()
+
+
+def test_each_team_has_the_numbers_that_it_observes(tmp_path, monkeypatch):
+    mixed = {"chasers": ["velocity", "room"], "evaders": ["velocity"]}
+    options = {"num_drones": 4, "dynamics": "point_mass", "horizon": 9, "observation": mixed}
+    collect("pursuit_evasion", "lead vs flee", 2, out=tmp_path, **options)
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path / "minari"))
+    for drone, size in enumerate((9, 9, 9, 3)):
+        data = minari.load_dataset(f"pursuit_evasion/lead_vs_flee/drone_{drone}-v0")
+        assert data.observation_space.shape == (size,)
+        for episode in data.iterate_episodes():
+            assert all(data.observation_space.contains(one) for one in episode.observations)
+    # Rows of the tables have zeros beyond the numbers of a drone
+    (table,) = tmp_path.glob("parquet/*.parquet")
+    rows = pq.read_table(table)
+    seen = np.stack(rows["observation"].to_numpy())
+    assert seen.shape[1] == 9
+    is_evader = rows["drone"].to_numpy() == 3
+    assert not seen[is_evader, 3:].any()
+    assert seen[~is_evader, 3:].any()

@@ -178,3 +178,31 @@ def test_baselines_fly_without_messages():
 def test_invalid_options(options, message):
     with pytest.raises(ValueError, match=message):
         made(**options)
+
+
+def test_each_team_observes_messages_beside_its_own_blocks():
+    mixed = {"chasers": ["velocity", "room"], "evaders": ["velocity"]}
+    options = {"observation": mixed, "decision_every": {"chasers": 1, "evaders": 3}}
+    aviary = made("pursuit_evasion", num_drones=4, **options)
+    alike = made("pursuit_evasion", num_drones=4, observation=["velocity", "room"])
+    seen = aviary.reset(seeds=0)
+    alike.reset(seeds=0)
+    blocks = [list(aviary.observer.of(i).slices) for i in (0, 3)]
+    assert blocks == [["velocity", "room", "messages"], ["velocity", "messages"]]
+    actions = random_actions(aviary, 5)
+    held = actions.copy()
+    held[1:3, :, 3], held[4:, :, 3] = actions[0, :, 3], actions[3, :, 3]
+    for one, other in zip(actions, held, strict=True):
+        # An evader that does not decide sends its last message again
+        seen, all_blocks = aviary.step(one).observations, alike.step(other).observations
+        parts = alike.observer.split(all_blocks)
+        np.testing.assert_array_equal(
+            aviary.observer.of(0).split(seen)["messages"][:, :3], parts["messages"][:, :3]
+        )
+        own = aviary.observer.unpadded(seen, 3)[:, 3]
+        np.testing.assert_array_equal(
+            aviary.observer.of(3).split(own)["messages"], parts["messages"][:, 3]
+        )
+    assert parts["messages"].any()
+    aviary.close()
+    alike.close()

@@ -6,6 +6,7 @@ from bulletuav.envs.stages.base import Stage
 from bulletuav.envs.stages.energy import DrainBatteries
 from bulletuav.envs.stages.events import ApplyEvents
 from bulletuav.envs.stages.fly import Fly
+from bulletuav.envs.stages.hold import HoldActions
 from bulletuav.envs.stages.judge import Judge
 from bulletuav.envs.stages.keep_before import KeepBefore
 from bulletuav.envs.stages.leave import EndEpisodes
@@ -23,9 +24,10 @@ from bulletuav.envs.stages.wind import SampleWind
 __all__ = ["Stage", "airspace_stages", "decision_stages"]
 
 
-def decision_stages(has_events: bool = False) -> tuple[Stage, ...]:
-    """Return the stages of a decision; the option `events` adds one."""
+def decision_stages(has_events: bool = False, has_rates: bool = False) -> tuple[Stage, ...]:
+    """Return the stages of a decision; the options `events` and `decision_every` add one each."""
     return (
+        *((HoldActions(),) if has_rates else ()),
         Admit(),
         Respawn(),
         *((ApplyEvents(),) if has_events else ()),

@@ -67,8 +67,6 @@ class ObservationBuilder:
     "image", without features, is an array.
 
     Attributes:
-        labels: Name, unit and bounds before scaling of each feature of the vector.
-        slices: Slice of the vector of each block, by name.
         images: Images, by name.
         num_frames: Number of frames of each image.
         is_plain: Whether observations are vectors, without a dict.
@@ -108,8 +106,8 @@ class ObservationBuilder:
         Raises:
             ValueError: If a block does not exist or is invalid.
         """
-        self.labels: list[Label] = []
-        self.slices: dict[str, slice] = {}
+        self._labels: list[Label] = []
+        self._slices: dict[str, slice] = {}
         self.images: dict[str, Image] = {}
         self._writers: list[tuple[slice, Bound | _BlockWriter]] = []
         self._size, self._form = setup.camera_size, form
@@ -120,9 +118,9 @@ class ObservationBuilder:
                 self.images[observation_name(source)] = made
                 continue
             labels, writer = made
-            part = slice(len(self.labels), len(self.labels) + len(labels))
-            self.labels += labels
-            self.slices[observation_name(source)] = part
+            part = slice(len(self._labels), len(self._labels) + len(labels))
+            self._labels += labels
+            self._slices[observation_name(source)] = part
             self._writers.append((part, writer))
         # Single precision, as the vector
         self.is_plain = not self.images and form == VECTOR
@@ -137,6 +135,46 @@ class ObservationBuilder:
         # Public bounds are those after scaling
         ones = np.ones_like(self._low)
         self.low, self.high = (-ones, ones) if normalise else (self._low, self._high)
+
+    @property
+    def labels(self) -> list[Label]:
+        """Name, unit and bounds before scaling of each feature of the vector."""
+        return self._labels
+
+    @property
+    def slices(self) -> dict[str, slice]:
+        """Slice of the vector of each block, by name."""
+        return self._slices
+
+    @property
+    def kinds(self) -> "tuple[ObservationBuilder, ...]":
+        """Observations of the teams: this one if all drones have the same."""
+        return (self,)
+
+    def of(self, drone: int) -> "ObservationBuilder":
+        """Return the observation of one drone: this one if all drones have the same."""
+        return self
+
+    def unpadded(self, observation: Any, drone: int) -> Any:
+        """Return the numbers that a drone observes, (..., D), without padding."""
+        return observation
+
+    def require_vectors(self) -> None:
+        """Raise ValueError for pictures and dicts, which drones cannot have on their own."""
+        if self.images:
+            raise ValueError(
+                f"observation differs by team, and has the picture {next(iter(self.images))!r}: "
+                f"leave pictures out, or give one observation for all drones"
+            )
+        if not self.is_plain:
+            raise ValueError(
+                f"observation differs by team, and observation_format is {self._form!r}: choose "
+                f"'vector', or give one observation for all drones"
+            )
+
+    def scratch(self) -> tuple[np.ndarray, ...]:
+        """Return the arrays (W, ...) that programs write, except for the vectors."""
+        return ()
 
     def space(self) -> Box | Dict:
         """Return one drone's observation space, a new object in each call."""
