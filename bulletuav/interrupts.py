@@ -7,6 +7,10 @@ Only the command line installs handlers: programs that import the package keep t
 
 Python runs signal handlers between two bytecode instructions. Therefore a call of compiled code
 that takes seconds, such as a compilation by LLVM, returns before the interrupt is handled.
+
+Machine code of numba calls Python functions to convert results to named tuples, and does not check
+whether they raised: an exception there would end the process with a segmentation fault. Therefore
+an interrupt in such a function is sent again a little later.
 """
 
 import atexit
@@ -17,6 +21,7 @@ import sys
 
 # No other imports, such as `typing`: the handler must be installed as early as possible
 from collections.abc import Iterator
+from types import FrameType
 
 EXIT_STATUS = 130
 """Exit status after an interrupt: 128 + SIGINT, as in shells"""
@@ -53,7 +58,7 @@ def raise_interrupts() -> Iterator[None]:
     following: signal._HANDLER = exit_on_interrupt
     hook = sys.unraisablehook
     sys.unraisablehook = _resend_interrupt
-    signal.signal(signal.SIGINT, signal.default_int_handler)
+    signal.signal(signal.SIGINT, _raise_interrupt)
     try:
         yield
     except KeyboardInterrupt:
@@ -82,14 +87,39 @@ def _exit_after_interrupt() -> None:
 def _resend_interrupt(lost: "sys.UnraisableHookArgs") -> None:
     """Send an interrupt again that arrived in a callback from C, where it cannot propagate."""
     if issubclass(lost.exc_type, KeyboardInterrupt):
-        import threading
-        from _thread import interrupt_main
-
-        timer = threading.Timer(RETRY_DELAY, interrupt_main)
-        timer.daemon = True
-        timer.start()
+        _send_later()
     else:
         sys.__unraisablehook__(lost)
+
+
+def _send_later() -> None:
+    """Send an interrupt to this process after `RETRY_DELAY`."""
+    import threading
+    from _thread import interrupt_main
+
+    timer = threading.Timer(RETRY_DELAY, interrupt_main)
+    timer.daemon = True
+    timer.start()
+
+
+def _raise_interrupt(number: int, frame: FrameType | None) -> None:
+    """Raise KeyboardInterrupt where it can propagate: the signal handler while a command runs."""
+    if _is_converting(frame):
+        _send_later()
+    else:
+        signal.default_int_handler(number, frame)
+
+
+def _is_converting(frame: FrameType | None) -> bool:
+    """Return True if numba's machine code called the frame to make a named tuple of a result."""
+    while frame is not None:
+        # Numba looks up the class by this function, and then calls it
+        if frame.f_code.co_name == "_numba_unpickle":
+            return True
+        if frame.f_globals.get("__name__", "").startswith("namedtuple_"):
+            return True
+        frame = frame.f_back
+    return False
 
 
 @contextlib.contextmanager

@@ -15,10 +15,11 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from gymnasium.spaces import Box, Space
+from gymnasium.spaces import Box, Dict, Discrete, Space
 from pettingzoo import ParallelEnv
 
 from bulletuav.adapters.self_play import team_env
+from bulletuav.envs.action_masks import ACTION_MASK
 from bulletuav.envs.curriculum import curriculum_env
 from bulletuav.envs.env_spec import EnvSpec
 from bulletuav.envs.environment import Environment, exclusive
@@ -38,6 +39,8 @@ except ImportError:
 
 __all__ = ["DroneMultiAgentEnv", "connect", "log_outcomes", "policies", "rows_function"]
 
+OBSERVATIONS = "observations"
+"""Key of the observation next to the mask, RLlib's convention"""
 ALL = "__all__"
 """Key of the end of the whole episode in RLlib's dicts"""
 GROUPINGS = {"swarm": "drones", "team": None, "drone": None}
@@ -73,7 +76,9 @@ class DroneMultiAgentEnv(Environment, MultiAgentEnv):  # type: ignore[misc]  # h
             config: The `env_config`. "task" is required. With "stages" (and "up", "down", "window")
                 the environment is a `curriculum_env`, with "team" and "opponents" a `team_env`,
                 else a `parallel_env`. All other entries are options of these, except "symlog": if
-                True, vector observations are compressed by sign(x) ln(1 + |x|).
+                True, vector observations are compressed by sign(x) ln(1 + |x|). With "action_masks"
+                observations are dicts of "observations" and "action_mask", (choices,) float32, as
+                RLlib's `ActionMaskingTorchRLModule` reads them.
 
         Raises:
             ValueError: If there is no task, or an option is invalid.
@@ -81,6 +86,7 @@ class DroneMultiAgentEnv(Environment, MultiAgentEnv):  # type: ignore[misc]  # h
         options = dict(config)
         task = take_task(options)
         self._symlog = options.pop("symlog", False)
+        self._masks = bool(options.get("action_masks", False))
         self.env = _make(task, options)
         self.possible_agents = list(self.env.possible_agents)
         self.agents = self.possible_agents[:]
@@ -88,12 +94,15 @@ class DroneMultiAgentEnv(Environment, MultiAgentEnv):  # type: ignore[misc]  # h
         super().__init__()
         self.render_mode = self.env.render_mode
         self.observation_spaces = {
-            agent: shown_space(self.env.observation_space(agent), self._symlog)
-            for agent in self.possible_agents
+            agent: self._shown_space(agent) for agent in self.possible_agents
         }
         self.action_spaces = {agent: self.env.action_space(agent) for agent in self.possible_agents}
         self.outcome: dict[str, float] = {}
         self._totals: dict[str, dict[str, float]] = {}
+
+    def _shown_space(self, agent: str) -> Space[Any]:
+        space = shown_space(self.env.observation_space(agent), self._symlog)
+        return masked_space(space, self.env.action_space(agent)) if self._masks else space
 
     @exclusive
     def reset(
@@ -108,10 +117,10 @@ class DroneMultiAgentEnv(Environment, MultiAgentEnv):  # type: ignore[misc]  # h
         Returns:
             Observations and empty infos, by agent.
         """
-        seen, _ = self.env.reset(seed, options or None)
+        seen, infos = self.env.reset(seed, options or None)
         self.agents = list(seen)
         self._totals = {agent: {} for agent in seen}
-        return self._shown(seen), {agent: {} for agent in seen}
+        return self._shown(seen, infos), {agent: {} for agent in seen}
 
     @exclusive
     def step(
@@ -139,12 +148,18 @@ class DroneMultiAgentEnv(Environment, MultiAgentEnv):  # type: ignore[misc]  # h
             self._compute_outcome()
         self.agents = self.env.agents[:] or self.agents
         terminated = {**terminated, ALL: over and not cut}
-        return self._shown(seen), rewards, terminated, {ALL: cut}, outcomes
+        return self._shown(seen, infos), rewards, terminated, {ALL: cut}, outcomes
 
-    def _shown(self, seen: Mapping[str, Any]) -> dict[str, Any]:
-        if not self._symlog:
-            return dict(seen)
-        return {agent: compressed(one) for agent, one in seen.items()}
+    def _shown(self, seen: Mapping[str, Any], infos: Mapping[str, Any]) -> dict[str, Any]:
+        shown_by_agent = dict(seen)
+        if self._symlog:
+            shown_by_agent = {agent: compressed(one) for agent, one in seen.items()}
+        if self._masks:
+            return {
+                agent: masked(one, infos[agent][ACTION_MASK])
+                for agent, one in shown_by_agent.items()
+            }
+        return shown_by_agent
 
     def _add(self, infos: Mapping[str, Mapping[str, float]]) -> None:
         """Add the infos of a step to the totals of the active drones."""
@@ -200,17 +215,33 @@ def shown_space(space: Space[Any], is_compressed: bool) -> Space[Any]:
     return Box(compressed(space.low), compressed(space.high), dtype=np.float32)
 
 
+def masked(observation: np.ndarray, mask: np.ndarray) -> dict[str, np.ndarray]:
+    """Return the observation (D,) of a drone with the mask (choices,) of its moves."""
+    return {ACTION_MASK: mask.astype(np.float32), OBSERVATIONS: observation}
+
+
+def masked_space(space: Space[Any], action_space: Space[Any]) -> Dict:
+    """Return the space of the results of `masked`.
+
+    Raises:
+        ValueError: If a drone observes more than a vector, which RLlib's module needs.
+    """
+    if not isinstance(space, Box) or len(space.shape) != 1:
+        raise ValueError(
+            f"action_masks with RLlib is for vectors, and a drone observes {shown(space)}: leave "
+            f"it out, or choose observation_format='vector' and an observation without images"
+        )
+    assert isinstance(action_space, Discrete), "masks need a discrete action"
+    mask = Box(0.0, 1.0, (int(action_space.n),), dtype=np.float32)
+    return Dict({ACTION_MASK: mask, OBSERVATIONS: space})
+
+
 def take_task(options: dict[str, Any]) -> TaskSource:
     """Remove the task from an `env_config`, and return it.
 
     Raises:
-        ValueError: If there is no task, or there is a seed or action_masks.
+        ValueError: If there is no task, or there is a seed.
     """
-    if options.get("action_masks"):
-        raise ValueError(
-            "env_config has action_masks, which RLlib's infos do not pass on: leave it out, or "
-            "train with `bulletuav train`"
-        )
     if "seed" in options:
         raise ValueError(
             "env_config has a seed, which all copies of the environment would share: use "
@@ -304,7 +335,7 @@ def rows_function(algorithm: Any, policy: str = "drones") -> Callable[[np.ndarra
     """Return a function from observations to actions of a policy that RLlib trains.
 
     `bulletuav.evaluate`, `find_policy` and `team_env` accept it as a policy. It returns the most
-    likely action of the current weights.
+    likely action of the current weights, without masks.
 
     Args:
         algorithm: RLlib algorithm with `DroneMultiAgentEnv`.
@@ -325,11 +356,18 @@ def rows_function(algorithm: Any, policy: str = "drones") -> Callable[[np.ndarra
     is_compressed = algorithm.config.env_config.get("symlog", False)
     kind = module.get_inference_action_dist_cls()
     space = module.action_space
+    has_masks = algorithm.config.env_config.get("action_masks", False)
 
     def rows(observations: np.ndarray) -> np.ndarray:
         seen = compressed(observations) if is_compressed else observations
+        observed: Any = torch.as_tensor(seen)
+        if has_masks:
+            observed = {
+                ACTION_MASK: torch.ones(len(seen), int(space.n)),
+                OBSERVATIONS: observed,
+            }
         with torch.no_grad():
-            outputs = module.forward_inference({"obs": torch.as_tensor(seen)})
+            outputs = module.forward_inference({"obs": observed})
         likely = kind.from_logits(outputs["action_dist_inputs"]).to_deterministic().sample().numpy()
         if not isinstance(space, Box):
             return np.asarray(likely)

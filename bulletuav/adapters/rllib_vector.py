@@ -11,9 +11,17 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from gymnasium.spaces import Dict
+from gymnasium.spaces import Dict, Space
 
-from bulletuav.adapters.rllib import ALL, DroneMultiAgentEnv, compressed, shown_space, take_task
+from bulletuav.adapters.rllib import (
+    ALL,
+    DroneMultiAgentEnv,
+    compressed,
+    masked,
+    masked_space,
+    shown_space,
+    take_task,
+)
 from bulletuav.adapters.totals import EpisodeTotals
 from bulletuav.envs.aviary import Aviary
 from bulletuav.envs.environment import Environment, exclusive
@@ -88,19 +96,18 @@ class DroneVectorEnv(Environment, VectorMultiAgentEnv):  # type: ignore[misc]  #
                     f"and all teams: leave env_runner_cls out"
                 )
         self._symlog = options.pop("symlog", False)
+        self._masks = bool(options.get("action_masks", False))
         self.num_envs = as_int("num_envs_per_env_runner", num_envs, 1)
         self.aviary = Aviary(task, num_envs, **options)
         self.render_mode = self.aviary.options.render_mode
         self.metadata = {"autoreset_mode": "next_step"}
         # Spaces of one world and its agents
         self._agents = [f"drone_{i}" for i in range(self.aviary.num_drones)]
-        observer = self.aviary.observer
-        self.single_observation_spaces = {
-            agent: shown_space(observer.of(i).space(), self._symlog)
-            for i, agent in enumerate(self._agents)
-        }
         self.single_action_spaces = {
             agent: drone_action_space(self.aviary.action, i) for i, agent in enumerate(self._agents)
+        }
+        self.single_observation_spaces = {
+            agent: self._shown_space(i) for i, agent in enumerate(self._agents)
         }
         self.single_observation_space = Dict(self.single_observation_spaces)
         self.single_action_space = Dict(self.single_action_spaces)
@@ -108,6 +115,11 @@ class DroneVectorEnv(Environment, VectorMultiAgentEnv):  # type: ignore[misc]  #
         # RLlib needs one environment for each world, of which it reads the spaces
         self.envs = [WorldSpaces(spaces) for _ in range(num_envs)]
         self._totals = EpisodeTotals()
+
+    def _shown_space(self, drone: int) -> Space[Any]:
+        space = shown_space(self.aviary.observer.of(drone).space(), self._symlog)
+        action = self.single_action_spaces[self._agents[drone]]
+        return masked_space(space, action) if self._masks else space
 
     @exclusive
     def reset(
@@ -127,7 +139,7 @@ class DroneVectorEnv(Environment, VectorMultiAgentEnv):  # type: ignore[misc]  #
         everywhere = np.ones(self.num_envs, dtype=bool)
         observations = self._start(everywhere, seed, **reset_options(options))
         everyone = self.aviary.alive.copy()
-        return self._by_agent(observations, everyone), self._empty_infos(everyone)
+        return self._shown(observations, everyone), self._empty_infos(everyone)
 
     def _start(self, worlds: np.ndarray, seed: Any = None, **places: Any) -> Observation:
         self._totals.forget(worlds)
@@ -169,7 +181,7 @@ class DroneVectorEnv(Environment, VectorMultiAgentEnv):  # type: ignore[misc]  #
         for w, ends in enumerate(terminated):
             ends[ALL] = bool(over[w] and not cut[w])
         truncated: ByWorld = [{ALL: bool(one)} for one in cut]
-        return self._by_agent(observations, there), rewards, terminated, truncated, infos
+        return self._shown(observations, there), rewards, terminated, truncated, infos
 
     def _numbers(self, actions: Sequence[Mapping[str, Any]], flown: np.ndarray) -> np.ndarray:
         """Return actions (W, N, A) of the active drones, zeros for the others."""
@@ -194,12 +206,26 @@ class DroneVectorEnv(Environment, VectorMultiAgentEnv):  # type: ignore[misc]  #
                 {self._agents[i]: row[i] for i in np.flatnonzero(mask)}
                 for row, mask in zip(values, there, strict=True)
             ]
-        if self._symlog:
-            values = compressed(values)
-        own = self.aviary.observer.unpadded
         return [
-            {self._agents[i]: own(part(values, (w, i)), i) for i in np.flatnonzero(mask).tolist()}
+            {self._agents[i]: part(values, (w, i)) for i in np.flatnonzero(mask)}
             for w, mask in enumerate(there)
+        ]
+
+    def _shown(self, observations: Any, there: np.ndarray) -> ByWorld:
+        """Return the observations (W, N, ...) that RLlib receives, by agent."""
+        if self._symlog:
+            observations = compressed(observations)
+        own = self.aviary.observer.unpadded
+        seen = [
+            {self._agents[i]: own(part(observations, (w, i)), i) for i in present.tolist()}
+            for w, present in enumerate(map(np.flatnonzero, there))
+        ]
+        if not self._masks:
+            return seen
+        masks = self._by_agent(self.aviary.action_masks(), there)
+        return [
+            {agent: masked(one, own[agent]) for agent, one in by_agent.items()}
+            for by_agent, own in zip(seen, masks, strict=True)
         ]
 
     def _empty_infos(self, there: np.ndarray) -> ByWorld:

@@ -175,6 +175,11 @@ class TeamAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  # has
         return entries
 
     @exclusive
+    def set_condition(self, agents: Any = None, **changes: Any) -> None:
+        """Change drones of any team, or the wind; see `ParallelAviary.set_condition`."""
+        self.env.set_condition(agents, **changes)
+
+    @exclusive
     def save_state(self) -> EnvironmentSnapshot:
         """Save the state of the simulation and the memory of the opponents' policies.
 
@@ -337,6 +342,11 @@ class CentralTeamAviary(LabelledEnvironment, gymnasium.Env[Any, Any]):
         space = self.env.observation_spaces[self._agents[0]]
         flat: np.ndarray = _stack(seen, self._agents, space).ravel()
         return flat
+
+    @exclusive
+    def set_condition(self, agents: Any = None, **changes: Any) -> None:
+        """Change drones of any team, or the wind; see `ParallelAviary.set_condition`."""
+        self.env.set_condition(agents, **changes)
 
     @exclusive
     def save_state(self) -> EnvironmentSnapshot:

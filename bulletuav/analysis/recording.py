@@ -127,7 +127,10 @@ def save(recording: Recording, aviary: Aviary, policy: str, seed: int, folder: P
         "task": aviary.task.name,
         "policy": policy,
         "seed": seed,
-        "options": describe_options(aviary.options, aviary.task.config),
+        "options": {
+            **describe_options(aviary.options, aviary.task.config),
+            **_events(aviary),
+        },
         # `bulletuav verify` repeats this call and compares the hashes
         "call": _call(aviary, policy, seed),
     }
@@ -181,8 +184,17 @@ def _call(aviary: Aviary, policy: str, seed: int) -> str | None:
     """Format the call that repeats the flight; see `format_call`."""
     (task, *_), options = aviary.made_from
     given = {name: value for name, value in options.items() if name not in UNRECORDED_OPTIONS}
+    if aviary.worlds.schedule.log[0] is None:
+        return None
+    given |= _events(aviary)
     flown = {"task": task, "policy": policy, "seed": seed, "num_worlds": aviary.num_worlds}
     return format_call({**flown, "options": given})
+
+
+def _events(aviary: Aviary) -> dict[str, Any]:
+    """Return the option `events` that repeats the changes in world 0, if there were any."""
+    events = (*aviary.options.events, *(aviary.worlds.schedule.log[0] or ()))
+    return {"events": [event.described() for event in events]} if events else {}
 
 
 def _write_arrays(recording: Recording, path: Path) -> None:

@@ -100,7 +100,7 @@ def parse_call(text: Any, trust: bool, path: str | Path = "the file") -> dict[st
     if text is None:
         raise ValueError(
             f"{path} cannot be flown again: its task, policy or options were Python objects, "
-            "which cannot be stored in a file"
+            "which cannot be stored in a file, or it had too many changes by set_condition"
         )
     # Only literals are evaluated, so that no code of the file runs
     try:

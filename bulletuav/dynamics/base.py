@@ -42,11 +42,12 @@ class Air(NamedTuple):
         wind: (W, N, 3) velocity of the air at each drone, world axes, m/s.
         surface: (W, N) height z of the surface below each drone, m; -inf where it was not
             requested.
-        gravity: Gravitational acceleration, m/s^2, downwards.
+        gravity: Gravitational acceleration that controllers know, m/s^2, downwards.
         force: (W, N, 3) external force on each drone, world axes, N.
         torque: (W, N, 3) external torque on each drone, body axes, N m.
         supply: (W, N) fraction of the commanded rotor speed that the battery's voltage supports.
         rotor_ratio: (W, N, R) fraction of its commanded speed that each rotor reaches.
+        local_gravity: (W, N) gravitational acceleration that acts on each drone, m/s^2, downwards.
     """
 
     wind: np.ndarray
@@ -56,6 +57,7 @@ class Air(NamedTuple):
     torque: np.ndarray
     supply: np.ndarray
     rotor_ratio: np.ndarray
+    local_gravity: np.ndarray
 
 
 class Decision(NamedTuple):
@@ -81,7 +83,8 @@ def surroundings(air: Air, w: int, i: int, wake: np.ndarray) -> Surroundings:
     """Return the surroundings of drone i of world w in the wakes (N, 4), for `compute_wrench`."""
     blown = (wake[i, 0], wake[i, 1], wake[i, 2], wake[i, 3])
     wind, force, torque = vec3(air.wind, w, i), vec3(air.force, w, i), vec3(air.torque, w, i)
-    return make_surroundings(wind, air.surface[w, i], air.gravity, force, torque, blown)
+    gravity = air.local_gravity[w, i]
+    return make_surroundings(wind, air.surface[w, i], gravity, force, torque, blown)
 
 
 @dataclass(frozen=True)
@@ -94,7 +97,7 @@ class FlightSetup:
         cascade: Controllers from an action's setpoints down to those that the dynamics consumes.
         dt: Duration of a substep, s.
         substeps: Number of substeps in a decision.
-        gravity: Gravitational acceleration, m/s^2, downwards.
+        gravity: Gravitational acceleration, m/s^2, downwards, which controllers know.
         contacts: Response to contacts, one of `Dynamics.contacts`.
         friction: Coefficient of friction of the ground and of buildings.
         restitution: Coefficient of restitution of the ground and of buildings.
@@ -150,6 +153,7 @@ class Dynamics(ABC):
         feels_rotors: Whether the dynamics applies `air.rotor_ratio`.
         feels_mass: Whether the flight depends on the mass in `flight.parameters`.
         feels_inertia: Whether the flight depends on the inertia in `flight.parameters`.
+        feels_gravity: Whether the dynamics applies `air.local_gravity`.
         contacts: Supported responses to contacts, the default first. "stop": a drone that touches
             something stays there until the decision ends. "impulse": contact impulses push the
             drone, and it slides and comes to rest; the velocities and rates of the swarm must be
@@ -163,6 +167,8 @@ class Dynamics(ABC):
         supply: (W, N) fraction of the commanded rotor speed that motors reach; one unless written.
         rotor_ratio: (W, N, R) square root of the effectiveness of each rotor, the fraction of its
             commanded speed that it reaches; one unless written.
+        local_gravity: (W, N) gravitational acceleration that acts on each drone, m/s^2, downwards;
+            that of `flight` unless written.
     """
 
     name: ClassVar[str]
@@ -172,6 +178,7 @@ class Dynamics(ABC):
     feels_rotors: ClassVar[bool] = False
     feels_mass: ClassVar[bool] = False
     feels_inertia: ClassVar[bool] = False
+    feels_gravity: ClassVar[bool] = False
     contacts: ClassVar[tuple[str, ...]] = ("stop", "impulse")
     sleeps: ClassVar[bool] = False
 
@@ -200,6 +207,7 @@ class Dynamics(ABC):
         self.supply = np.ones(flight.parameters.shape)
         rotors = max(int(flight.parameters["num_rotors"].max(initial=0)), 1)
         self.rotor_ratio = np.ones((*flight.parameters.shape, rotors))
+        self.local_gravity = np.full(flight.parameters.shape, float(flight.gravity))
         self._near_ground = self.feels_surface and bool((gains > 0).any())
         self._placing: _Placing | None = None
 
@@ -314,8 +322,8 @@ class Dynamics(ABC):
         program.call(start_decision, self.contact, alive, flight.substeps * flight.dt)
         drones = DroneArrays(swarm, alive, flight.parameters)
         surface = np.full(alive.shape, -np.inf)
-        rotors = (self.supply, self.rotor_ratio)
-        air = Air(wind, surface, flight.gravity, self.force, self.torque, *rotors)
+        given = (self.supply, self.rotor_ratio, self.local_gravity)
+        air = Air(wind, surface, flight.gravity, self.force, self.torque, *given)
         step = TimeStep(flight.substeps, flight.dt)
         decision = Decision(drones, setpoints, flight.cascade, air, step)
         if self._near_ground:

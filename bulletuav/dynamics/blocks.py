@@ -38,7 +38,8 @@ class Blocks(NamedTuple):
         rows: (W, N) rows of `PARAMETERS`; compiled code takes the type of the rows from them.
         numbers: (W, N, P) the same parameters as float64.
         packed: (B, P, `WIDTH`) parameters of the group's drones by block.
-        held: (B, 11, `WIDTH`) wind, surface, force, torque and supply of the group's drones.
+        held: (B, 12, `WIDTH`) wind, surface, force, torque, supply and gravity of the group's
+            drones.
         decay: (G, N, 6) decay factors of the rotor lag, written by `lag_stages`.
         lag: (B, 6, `WIDTH`) the same factors by block.
         flown: (B,) bool, whether the marked drones of a block are integrated together.
@@ -91,7 +92,7 @@ class Blocks(NamedTuple):
             rows=parameters,
             numbers=numbers,
             packed=lane_zeros(blocks, numbers.shape[2]),
-            held=lane_zeros(blocks, 11),
+            held=lane_zeros(blocks, 12),
             decay=np.zeros((worlds, num_drones, 6)),
             lag=lane_zeros(blocks, 6),
             flown=np.zeros(blocks, dtype=bool),
@@ -129,6 +130,7 @@ def pack_blocks(blocks: Any, air: Any, first: int) -> None:
             held[7 + k] = gathered(air.torque, drone, k)
         held[3] = gathered(air.surface, drone, 0)
         held[10] = gathered(air.supply, drone, 0)
+        held[11] = gathered(air.local_gravity, drone, 0)
         ratio = lanes_of(blocks.ratio, b)
         for r in range(air.rotor_ratio.shape[2]):
             ratio[r] = gathered(air.rotor_ratio, drone, r)
@@ -182,7 +184,7 @@ def fly_block(blocks: Any, first: int, b: int, gravity: float, dt: float) -> Non
         blocks: `Blocks` of a group.
         first: Number of the group's first drone, counted over all worlds.
         b: Index of the block.
-        gravity: Gravitational acceleration, m/s^2, downwards.
+        gravity: Gravitational acceleration that controllers know, m/s^2, downwards.
         dt: Duration of the step, s.
     """
     drone = first + b * WIDTH
@@ -216,7 +218,7 @@ def fly_block(blocks: Any, first: int, b: int, gravity: float, dt: float) -> Non
     torque, wake = (held[7], held[8], held[9]), four(blocks.wakes.felt, b * WIDTH)
     # A drone far from the surface feels no ground effect
     surface = where(near, held[3], -np.inf)
-    around = make_surroundings(wind, surface, gravity, force, torque, wake)
+    around = make_surroundings(wind, surface, held[11], force, torque, wake)
     if is_any(near):
         state = stepped(state, speeds, rotors, dt, around, row.num_rotors, row)
     else:

@@ -112,6 +112,7 @@ class BulletDynamics(Dynamics):
     feels_rotors = True
     feels_mass = True
     feels_inertia = True
+    feels_gravity = True
     contacts = ("impulse", "stop", "bullet")
     sleeps = True
 

@@ -9,7 +9,8 @@
 to the one at the controller's largest tilt. Limits apply to the norm, not to each axis. Within the
 limits the integration is exact for a constant setpoint. Rotors, ground effect and downwash are not
 modelled; wind does not act on single and double integrator. tau is the time constant of the Lee
-controller's velocity loop.
+controller's velocity loop. Thrust balances the gravity that controllers know: if it changes in
+flight, f / m includes the difference, except in `single_integrator`.
 """
 
 import math
@@ -247,7 +248,9 @@ def advance_kinematic(decision: Decision, contact: ContactState, kind: int) -> N
                 position, quaternion, velocity, rates = get_state(swarm, w, i)
                 wanted = quat4(setpoints.value, w, i)
                 wind = vec3(air.wind, w, i)
-                pull = plus((0.0, 0.0, 0.0), 1.0 / parameters[w, i].mass, vec3(air.force, w, i))
+                # Setpoints are net of the gravity that controllers know
+                unknown = (0.0, 0.0, air.gravity - air.local_gravity[w, i])
+                pull = plus(unknown, 1.0 / parameters[w, i].mass, vec3(air.force, w, i))
                 quaternion = from_euler(0.0, 0.0, wanted[3])
 
                 gain = cascade.gains[w, i]
@@ -310,6 +313,7 @@ class DoubleIntegrator(Kinematic):
     name = "double_integrator"
     consumes = SetpointLevel.ACCELERATION
     feels_force = True
+    feels_gravity = True
     kind = DOUBLE_INTEGRATOR
 
 
@@ -321,4 +325,5 @@ class PointMass(Kinematic):
     consumes = SetpointLevel.VELOCITY
     feels_force = True
     feels_mass = True
+    feels_gravity = True
     kind = POINT_MASS

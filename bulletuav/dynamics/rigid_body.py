@@ -155,6 +155,7 @@ class RigidBody(Dynamics):
     feels_rotors = True
     feels_mass = True
     feels_inertia = True
+    feels_gravity = True
     contacts = ("impulse", "stop")
     sleeps = True
 

@@ -459,17 +459,18 @@ class Airspace(Environment):
     @exclusive
     def set_condition(
         self,
-        drones: Drones,
+        drones: Drones = None,
         *,
         rotor_effectiveness: Any = None,
         added_mass: Any = None,
         added_inertia: Any = None,
+        gravity: Any = None,
     ) -> None:
-        """Change drones in flight, from the next step on: rotors, mass and inertia.
+        """Change drones in flight, from the next step on: rotors, mass, inertia and gravity.
 
         Conditions stay until they are set again, also over `place`. They are absolute: an added
-        mass of 0 removes the earlier one. Controllers know the nominal airframe only. See
-        `bulletuav.envs.conditions`.
+        mass of 0 removes the earlier one. Controllers know the nominal airframe and the option
+        `gravity` only. See `bulletuav.envs.conditions`.
 
         Args:
             drones: Index of a drone, several indices, a mask (N,), or None for all.
@@ -479,16 +480,22 @@ class Airspace(Environment):
                 parcel, or one for each of the drones. It may be negative.
             added_inertia: (3,) moments of inertia about the body axes in addition to the drone's
                 own, kg m^2, or a row for each of the drones.
+            gravity: Gravitational acceleration of the world, m/s^2, downwards; for all drones.
 
         Raises:
             ValueError: If there is no such drone, no condition is given, a number is invalid, the
-                dynamics ignores a condition, or a drone would have less than a tenth or more than
-                ten times the mass or inertia of its airframe; nothing is changed.
+                dynamics ignores a condition, gravity is given for some of the drones, or a drone
+                would have less than a tenth or more than ten times the mass or inertia of its
+                airframe; nothing is changed.
         """
         self._require_open()
         world = self.world
         rows, count = rows_of(drones, len(self.airframes))
-        given = Condition(rotor_effectiveness, added_mass, added_inertia)
+        if gravity is not None and drones is not None:
+            raise ValueError(
+                f"drones is {shown(drones)}, and gravity is that of the world: set it with None"
+            )
+        given = Condition(rotor_effectiveness, added_mass, added_inertia, gravity)
         rotors = np.atleast_1d(world.parameters["num_rotors"][0, rows])
         checked = check_condition(given, world.dynamics, rotors, count)
         apply_condition(world, 0, rows, checked)
@@ -498,6 +505,11 @@ class Airspace(Environment):
         """(N, R) fraction of the commanded thrust that each rotor provides; see `set_condition`."""
         effectiveness: np.ndarray = self.world.dynamics.rotor_ratio[0] ** 2
         return effectiveness
+
+    @property
+    def gravity(self) -> float:
+        """Gravitational acceleration that acts on the drones, m/s^2; see `set_condition`."""
+        return float(self.world.dynamics.local_gravity[0, 0])
 
     @exclusive
     def rotor_commands(self) -> np.ndarray:

@@ -213,8 +213,9 @@ class AirspaceWorld(Parts):
             return
         state = self.state
         targets = np.zeros((1, 0, 3))
-        swarms, action = (state.before, state.swarm), np.zeros((*state.alive.shape, 0))
-        moment = Moment(*swarms, targets, state.alive, state.steps, self.rng, {}, action)
+        states = (state.before, state.swarm, targets, state.alive)
+        given = (np.zeros((*state.alive.shape, 0)), self.dynamics.local_gravity)
+        moment = Moment(*states, state.steps, self.rng, {}, *given)
         for name, reading in self.sensors.measure(moment, self.show).items():
             self.readings[name] = reading[0].copy()
         for array, numbers in zip(state.before, state.swarm, strict=True):

@@ -9,6 +9,7 @@ from bulletuav.compiled.program import Program
 from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.engine.body_source import BodySource
 from bulletuav.envs.agents import ACTION_TYPES
+from bulletuav.envs.airspace_inputs import Drones, rows_of
 from bulletuav.envs.descriptions import describe_parts
 from bulletuav.envs.env_spec import MAX_WORLDS, EnvSpec
 from bulletuav.envs.environment import Environment, exclusive, in_plain_python
@@ -313,6 +314,32 @@ class Aviary(Environment):
         """(W, N) bool: active drones whose next action is flown; see option `decision_every`."""
         return self.worlds.decides()
 
+    @exclusive
+    def set_condition(self, drones: Drones = None, worlds: Any = None, **changes: Any) -> None:
+        """Change drones, wind or gravity in flight, from the next decision on.
+
+        A change is in force until it is set again, or the episode of the world ends. It follows
+        events of the option `events` that are due. See `bulletuav.envs.conditions`.
+
+        Args:
+            drones: Index of a drone, several indices, a mask (N,), or None for all.
+            worlds: Indices of the worlds, or one; None for all.
+            **changes: Any of "rotor_effectiveness", "added_mass", "added_inertia", "charge", "wind"
+                and "gravity", the same for all of these drones; see `bulletuav.envs.events.Event`.
+                Wind and gravity are those of a whole world.
+
+        Raises:
+            ValueError: If there is no such drone or world, no change is given, or a change is
+                unknown, invalid or without effect; nothing is changed.
+            RuntimeError: If called before the first reset or after `close`.
+        """
+        self.require_started()
+        chosen = self._spec.indices(worlds).tolist()
+        rows, _ = rows_of(drones, self.num_drones)
+        listed = None if isinstance(rows, slice) else np.atleast_1d(rows).tolist()
+        time = self.steps / self.options.decision_hz
+        self.worlds.schedule.change(chosen, listed, changes, time)
+
     def require_action(self, drone: int, numbers: np.ndarray) -> None:
         """Raise ValueError for an invalid action (A,) of a drone; nothing is simulated."""
         given, chosen = np.zeros(self.given.shape), np.zeros(self.alive.shape, dtype=bool)
@@ -388,6 +415,7 @@ class Aviary(Environment):
         # Components with their own copies of the state
         drones, parts = mask[:, None] & self.alive, self.worlds
         parts.uncertainty.restore(chosen)
+        parts.schedule.restore(chosen)
         parts.engine.set_layouts(self.scene.layout, mask)
         parts.place_obstacles(mask)
         parts.bodies.restore(chosen.tolist())

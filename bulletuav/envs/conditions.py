@@ -1,9 +1,10 @@
-"""Conditions of drones in flight, and their schedule: rotors, added mass and inertia.
+"""Conditions of drones in flight, and their schedule: rotors, added mass and inertia, gravity.
 
 A rotor with effectiveness e turns at sqrt(e) times its commanded speed, so that thrust and reaction
 torque, which grow with the square of the speed, are e times the commanded ones in the steady state.
 It reaches that speed with the lag of the motor: a rotor that fails (e = 0) spins down. Controllers
-are not informed: their model is the airframe's, whose rotors, mass and inertia are nominal.
+are not informed: their model is the airframe's, whose rotors, mass and inertia are nominal, and the
+gravity of the option.
 
 References:
     M. W. Mueller, R. D'Andrea, Stability and control of a quadrocopter despite the complete loss of
@@ -12,6 +13,8 @@ References:
     Annual Reviews in Control 2008 (loss of effectiveness as a factor of the actuator).
 """
 
+import dataclasses
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,16 +22,21 @@ import numpy as np
 from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.dynamics.base import Dynamics
 from bulletuav.envs.energy import Energy
-from bulletuav.envs.events import MAX_TIME, RANDOM, Event
+from bulletuav.envs.events import CHANGES, MAX_EVENTS, MAX_GRAVITY, MAX_TIME, RANDOM, Event
 from bulletuav.envs.parts import Parts
 from bulletuav.envs.snapshot import Bounds
-from bulletuav.errors import numbers_of, shown
+from bulletuav.errors import finite, numbers_of, shown, unknown
 
 MAX_ADDED = 1e6
 """Largest added mass, kg, and inertia, kg m^2, before the bounds of a drone are applied"""
 WITHOUT_WIND = ("single_integrator", "double_integrator")
 """Dynamics that ignore wind"""
 ROTOR_DYNAMICS = "use dynamics 'rigid_body' or 'bullet'"
+OTHER_DYNAMICS = {
+    "added_mass": ", or 'point_mass'",
+    "gravity": ", or 'point_mass' or 'double_integrator'",
+}
+"""Further dynamics that do not ignore a condition"""
 
 
 class Condition(NamedTuple):
@@ -38,11 +46,13 @@ class Condition(NamedTuple):
         rotor_effectiveness: (R,) of each rotor, from 0 (failed) to 1, or a row for each drone.
         added_mass: Mass in addition to the drone's own, at its centre of mass, kg.
         added_inertia: (3,) moments of inertia in addition to the drone's own, kg m^2.
+        gravity: Gravitational acceleration of the whole world, m/s^2, downwards.
     """
 
     rotor_effectiveness: Any = None
     added_mass: Any = None
     added_inertia: Any = None
+    gravity: Any = None
 
 
 def check_condition(
@@ -70,22 +80,25 @@ def check_condition(
         "rotor_effectiveness": dynamics.feels_rotors and dynamics.consumes == SetpointLevel.ROTOR,
         "added_mass": dynamics.feels_mass,
         "added_inertia": dynamics.feels_inertia,
+        "gravity": dynamics.feels_gravity,
     }
     for name, value in given._asdict().items():
         if value is not None and not feels[name]:
-            points = ", or 'point_mass'" if name == "added_mass" else ""
+            points = OTHER_DYNAMICS.get(name, "")
             raise ValueError(
                 f"{name} is {shown(value)}, and dynamics {dynamics.name!r} ignores it: "
                 f"{ROTOR_DYNAMICS}{points}"
             )
-    effectiveness, mass, inertia = tuple(given)
+    effectiveness, mass, inertia, gravity = tuple(given)
     if effectiveness is not None:
         effectiveness = _effectiveness(effectiveness, num_rotors, count)
     if mass is not None:
         mass = _shaped("added_mass", mass, count, "kg")
     if inertia is not None:
         inertia = _shaped("added_inertia", inertia, (*count, 3), "kg m^2")
-    return Condition(effectiveness, mass, inertia)
+    if gravity is not None:
+        gravity = finite("gravity", gravity, 0.0, MAX_GRAVITY)
+    return Condition(effectiveness, mass, inertia, gravity)
 
 
 def _effectiveness(value: Any, num_rotors: np.ndarray, count: tuple[int, ...]) -> np.ndarray:
@@ -126,22 +139,27 @@ def apply_condition(parts: Parts, world: int, rows: Any, condition: Condition) -
     Raises:
         ValueError: If a drone would be too light or too heavy; nothing is changed.
     """
-    effectiveness, mass, inertia = condition
+    effectiveness, mass, inertia, gravity = condition
     if mass is not None or inertia is not None:
         parts.uncertainty.load_drones(world, rows, mass, inertia)
     if effectiveness is not None:
         ratio = np.sqrt(effectiveness)
         parts.dynamics.rotor_ratio[world, rows, : ratio.shape[-1]] = ratio
+    if gravity is not None:
+        parts.dynamics.local_gravity[world] = gravity
 
 
 class Schedule:
-    """Events of the episodes of W worlds of N drones.
+    """Changes of drones and wind in the episodes of W worlds of N drones.
 
     Attributes:
         events: The E events of each episode.
         time: (W, E) time of each event, s.
         drone: (W, E) index of its drone; -1 for all drones.
         done: (W, E) bool, events that are past.
+        changed: (W,) bool, worlds that callers may have changed since their reset.
+        log: Changes by callers since the reset of each world, as events; None for more than
+            `MAX_EVENTS`.
     """
 
     def __init__(self, parts: Parts, energy: Energy) -> None:
@@ -155,6 +173,8 @@ class Schedule:
         shape = (worlds, len(self.events))
         self.time, self.drone = np.zeros(shape), np.full(shape, -1)
         self.done = np.zeros(shape, dtype=bool)
+        self.changed = np.zeros(worlds, dtype=bool)
+        self.log: list[list[Event] | None] = [[] for _ in range(worlds)]
         self._conditions = [self._checked(event, drones) for event in self.events]
 
     def _checked(self, event: Event, num_drones: int) -> Condition:
@@ -181,14 +201,8 @@ class Schedule:
                 f"wind of an event is {event.wind}, and dynamics {parts.options.dynamics_name!r} "
                 f"ignores wind: use 'point_mass', 'rigid_body' or 'bullet'"
             )
-        limited = parts.options.battery_capacity is not None
-        if event.added_mass is not None and limited and parts.options.energy != "actuator":
-            raise ValueError(
-                f"added_mass of an event is {event.added_mass:g} kg, which energy "
-                f"{parts.options.energy!r} ignores, so that batteries would last too long: use "
-                f"energy='actuator', or leave out battery_capacity"
-            )
-        given = Condition(event.rotor_effectiveness, event.added_mass, event.added_inertia)
+        weights = (event.added_mass, event.added_inertia, event.gravity)
+        given = Condition(event.rotor_effectiveness, *weights)
         if given == Condition():
             return given
         rotors = np.atleast_1d(parts.parameters["num_rotors"][0, rows])
@@ -220,8 +234,10 @@ class Schedule:
         """
         parts = self._parts
         parts.dynamics.rotor_ratio[world] = 1.0
+        parts.dynamics.local_gravity[world] = parts.options.gravity
         if "wind" not in parts.uncertainty.drawn:
             parts.wind.steady[world] = parts.wind.given
+        self.changed[world], self.log[world] = False, []
         self.done[world] = False
         for k, event in enumerate(self.events):
             low, high = event.time_bounds
@@ -231,6 +247,12 @@ class Schedule:
                 self.drone[world, k] = present[rng.integers(len(present))]
             elif event.drone is not None:
                 self.drone[world, k] = event.drone
+
+    def restore(self, worlds: np.ndarray) -> None:
+        """Note that the state of worlds (S,) was written, and may have changes."""
+        self.changed[worlds] = True
+        for w in worlds.tolist():
+            self.log[w] = []
 
     def apply_due(self, time: np.ndarray, flying: np.ndarray) -> None:
         """Apply the events that are due in the worlds that fly.
@@ -244,11 +266,54 @@ class Schedule:
         worlds, numbers = np.nonzero(due)
         order = np.lexsort((numbers, self.time[worlds, numbers], worlds))
         for w, k in zip(worlds[order].tolist(), numbers[order].tolist(), strict=True):
-            event, drone = self.events[k], int(self.drone[w, k])
+            drone = int(self.drone[w, k])
             rows = slice(None) if drone < 0 else drone
-            apply_condition(self._parts, w, rows, self._conditions[k])
-            if event.charge is not None:
-                self._energy.readings()["charge"][w, rows] = event.charge
-            if event.wind is not None:
-                self._parts.wind.steady[w] = event.wind
+            self._apply(w, rows, self.events[k], self._conditions[k])
             self.done[w, k] = True
+
+    def _apply(self, world: int, rows: Any, event: Event, condition: Condition) -> None:
+        """Apply a checked event to drones of a world."""
+        apply_condition(self._parts, world, rows, condition)
+        if event.charge is not None:
+            self._energy.readings()["charge"][world, rows] = event.charge
+        if event.wind is not None:
+            self._parts.wind.steady[world] = event.wind
+
+    def change(
+        self,
+        worlds: list[int],
+        drones: list[int] | None,
+        changes: Mapping[str, Any],
+        time: np.ndarray,
+    ) -> None:
+        """Apply changes of a caller, after the events that are due.
+
+        Args:
+            worlds: Indices of the worlds.
+            drones: Indices of the drones; None for all.
+            changes: Values by the names of `events.CHANGES`.
+            time: (W,) time of each world, s.
+
+        Raises:
+            ValueError: If a name or value is invalid; nothing is changed.
+        """
+        for name in changes:
+            if name not in CHANGES:
+                raise unknown("condition", name, CHANGES)
+        chosen: list[int | None] = [None] if drones is None else [*drones]
+        events = [Event(time=0.0, drone=drone, **changes) for drone in chosen]
+        conditions = [self._checked(event, self._parts.parameters.shape[1]) for event in events]
+        here = np.zeros(len(time), dtype=bool)
+        here[worlds] = True
+        self.apply_due(time, here)
+        for w in worlds:
+            for event, condition in zip(events, conditions, strict=True):
+                rows = slice(None) if event.drone is None else event.drone
+                self._apply(w, rows, event, condition)
+            self.changed[w] = True
+            # The same events, applied by an option, repeat the flight
+            log, now = self.log[w], float(time[w])
+            if log is not None and len(log) + len(events) <= MAX_EVENTS:
+                log += [dataclasses.replace(event, time=now) for event in events]
+            else:
+                self.log[w] = None

@@ -271,6 +271,11 @@ class CurriculumAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc] 
         return {agent: {**info, "stage": stage} for agent, info in infos.items()}
 
     @exclusive
+    def set_condition(self, agents: Any = None, **changes: Any) -> None:
+        """Change drones or the wind in flight; see `ParallelAviary.set_condition`."""
+        self.env.set_condition(agents, **changes)
+
+    @exclusive
     def save_state(self) -> EnvironmentSnapshot:
         """Save the complete state with the curriculum; see `Aviary.save_state`."""
         env = self.env

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from bulletuav.compiled.gather import pack_numbers, scatter, three
+from bulletuav.compiled.gather import gathered, pack_numbers, scatter, three
 from bulletuav.compiled.kernel import kernel
 from bulletuav.compiled.lanes import WIDTH, lane_zeros, lanes_row
 from bulletuav.compiled.program import Program
@@ -17,6 +17,7 @@ from bulletuav.vehicle.battery import (
     loaded_voltage,
     resting_voltage,
 )
+from bulletuav.vehicle.parameters import PARAMETERS
 from bulletuav.vehicle.power import (
     ROTARY_WING,
     RotaryWing,
@@ -26,20 +27,30 @@ from bulletuav.vehicle.power import (
 )
 from bulletuav.vehicle.swarm import Swarm
 
+MASS = list(PARAMETERS.names or ()).index("mass")
+"""Index of the mass among the numbers of a row of `PARAMETERS`, which begins with it"""
+
 
 class Energy:
     """Power of all drones, and their batteries.
 
     With the option `energy` "zeng" power follows from the rotary-wing formula, at the velocity
-    relative to the air. With "actuator", and always without gravity, it is the power of the
-    simulated rotors. Both are electrical, with the losses of the airframe's motors.
+    relative to the air, and from the present mass and gravity. With "actuator", and always if the
+    option `gravity` is 0, it is the power of the simulated rotors. Both are electrical, with the
+    losses of the airframe's motors.
 
     Attributes:
         power: (W, N) mean power over the last decision, W.
         voltage: (W, N) voltage of the batteries, V; 0 if the airframe has no battery model.
     """
 
-    def __init__(self, options: EnvOptions, parameters: np.ndarray, supply: np.ndarray) -> None:
+    def __init__(
+        self,
+        options: EnvOptions,
+        parameters: np.ndarray,
+        supply: np.ndarray,
+        local_gravity: np.ndarray,
+    ) -> None:
         """Start with full batteries.
 
         Args:
@@ -47,6 +58,7 @@ class Energy:
             parameters: (W, N) rows of `PARAMETERS` that the dynamics uses.
             supply: (W, N) fraction of the commanded rotor speed that motors reach; written with the
                 effect "voltage".
+            local_gravity: (W, N) gravitational acceleration that acts on the drones, m/s^2.
         """
         self.power, self.voltage = np.zeros((2, *parameters.shape))
         self._battery = Battery(parameters.shape, _capacities(options))
@@ -56,7 +68,7 @@ class Energy:
             if airframe.pack is not None:
                 row[:] = airframe.pack.cells, airframe.pack.resistance, airframe.pack.voltage
         self._supply = supply if "voltage" in options.effects else np.ones(parameters.shape)
-        self._parameters = parameters
+        self._parameters, self._gravity = parameters, local_gravity
         self._period = 1 / options.decision_hz
         self._wings: np.ndarray | None = None
         # The rotary-wing formula computes power from the weight, so it needs gravity
@@ -66,6 +78,8 @@ class Energy:
             # Constant, so packed once, block by block
             self._packed = lane_zeros(-(-parameters.size // WIDTH), len(RotaryWing._fields))
             pack_numbers(self._wings.view(float).reshape(*parameters.shape, -1), self._packed)
+            # The same numbers as in the rows, which change in flight
+            self._numbers = parameters.view(float).reshape(*parameters.shape, -1)
 
     def add_start(self, program: Program, worlds: np.ndarray, charge: np.ndarray) -> None:
         """Add to a program that batteries of worlds (W,) bool that start an episode are charged.
@@ -116,7 +130,8 @@ class Energy:
             program.call(_add_losses, self._parameters, self.power)
         else:
             velocities = (before.velocity, after.velocity, wind)
-            program.call(_fill_propulsion, *velocities, self._wings, self._packed, self.power)
+            given = (self._numbers, self._gravity, self._wings, self._packed)
+            program.call(_fill_propulsion, *velocities, *given, self.power)
         program.call(_add_payload, payload, flown, self.power)
         battery, net = self._battery, self.power
         if charging is not None:
@@ -154,6 +169,8 @@ def _fill_propulsion(
     before: np.ndarray,
     after: np.ndarray,
     wind: np.ndarray,
+    numbers: np.ndarray,
+    gravity: np.ndarray,
     wings: np.ndarray,
     packed: np.ndarray,
     power: np.ndarray,
@@ -164,6 +181,8 @@ def _fill_propulsion(
         before: Velocities before the decision, m/s.
         after: Velocities after the decision.
         wind: Velocity of the air, m/s.
+        numbers: (W, N, P) numbers of the rows of `PARAMETERS`.
+        gravity: (W, N) gravitational acceleration that acts on the drones, m/s^2.
         wings: (W, N) rows of `ROTARY_WING`.
         packed: (B, numbers, `WIDTH`) the same rows, block by block.
         power: Written.
@@ -177,8 +196,10 @@ def _fill_propulsion(
             (begin[1] + end[1]) / 2 - air[1],
             (begin[2] + end[2]) / 2 - air[2],
         )
+        wing = lanes_row(wings, packed, b)
+        load = gathered(numbers, first, MASS) * gathered(gravity, first, 0) / wing.weight
         count = min(power.size - first, WIDTH)
-        scatter(power, first, count, propulsion_power(velocity, lanes_row(wings, packed, b)))
+        scatter(power, first, count, propulsion_power(velocity, wing, load))
 
 
 @kernel

@@ -165,13 +165,14 @@ class EpisodeStart:
             worlds.rng[k] = rng
         for k, members in zip(indices, self._drawn_members, strict=False):
             worlds.members[k] = members
-        has_events = bool(worlds.schedule.events)
-        if worlds.wind.is_gusty or worlds.uncertainty.drawn or has_events:
+        schedule = worlds.schedule
+        changes = bool(schedule.events) or schedule.changed.any()
+        if worlds.wind.is_gusty or worlds.uncertainty.drawn or changes:
             for k, rng in zip(indices, generators, strict=True):
                 worlds.wind.reset(k, rng)
                 worlds.uncertainty.reset(k, rng)
-                if has_events:
-                    worlds.schedule.reset(k, rng, worlds.members[k])
+                if changes:
+                    schedule.reset(k, rng, worlds.members[k])
         worlds.forget_derived()
         self._start.run()
 

@@ -1,4 +1,4 @@
-"""Events of an episode: drones or the wind that change at a scheduled or random time."""
+"""Events of an episode: drones, wind or gravity that change at a scheduled or random time."""
 
 import dataclasses
 from collections.abc import Mapping
@@ -12,6 +12,8 @@ RANDOM = "random"
 """Drone of an event that is drawn in each episode"""
 MAX_EVENTS = 1000
 """Maximum number of events of an episode"""
+MAX_GRAVITY = 1e4
+"""Maximum gravity, m/s^2"""
 MAX_TIME = 1e6
 """Latest time of an event, s"""
 
@@ -36,6 +38,8 @@ class Event:
         added_inertia: (3,) moments of inertia in addition to the drone's own, kg m^2.
         charge: Charge of the battery, from 0 to 1, such as 1 for another battery.
         wind: (3,) steady wind of the world (east, north, up), m/s, instead of the one before.
+        gravity: Gravitational acceleration of the world, m/s^2, downwards. Controllers are not
+            informed.
     """
 
     time: float | tuple[float, float]
@@ -45,6 +49,7 @@ class Event:
     added_inertia: tuple[float, ...] | None = None
     charge: float | None = None
     wind: tuple[float, ...] | None = None
+    gravity: float | None = None
 
     def __post_init__(self) -> None:
         """Convert and check all values that do not depend on the drones."""
@@ -70,6 +75,8 @@ class Event:
             self._keep("added_mass", finite("added_mass of an event", self.added_mass))
         if self.charge is not None:
             self._keep("charge", finite("charge of an event", self.charge, 0.0, 1.0))
+        if self.gravity is not None:
+            self._keep("gravity", finite("gravity of an event", self.gravity, 0.0, MAX_GRAVITY))
         if self.wind is not None and not (
             len(self.wind) == 3 and all(abs(one) <= MAX_WIND for one in self.wind)
         ):
@@ -82,8 +89,11 @@ class Event:
                 f"the event at {shown(self.time)} s changes nothing: give one of "
                 f"{', '.join(CHANGES)}"
             )
-        if self.drone is not None and set(self.values()) == {"wind"}:
-            raise ValueError("the wind of an event is that of all drones: leave out drone")
+        if self.drone is not None and set(self.values()) <= {"wind", "gravity"}:
+            raise ValueError(
+                f"the {' and '.join(self.values())} of an event is that of all drones: leave out "
+                f"drone"
+            )
 
     def _keep(self, name: str, value: Any) -> None:
         object.__setattr__(self, name, value)

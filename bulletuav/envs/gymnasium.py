@@ -184,6 +184,11 @@ class CentralAviary(LabelledEnvironment, gymnasium.Env[Any, Any]):
         return observation, mean, is_over and not truncated, truncated, infos
 
     @exclusive
+    def set_condition(self, drones: Any = None, **changes: Any) -> None:
+        """Change drones or the wind in flight; see `Aviary.set_condition`."""
+        self.aviary.set_condition(drones, **changes)
+
+    @exclusive
     def save_state(self) -> Snapshot:
         """Save the complete state; see `Aviary.save_state`."""
         return self.aviary.save_state()
@@ -311,6 +316,11 @@ class CentralVectorAviary(LabelledEnvironment, gymnasium.vector.VectorEnv[Any, A
             infos["final_obs"] = self._observer.observe(infos["final_obs"], infos["final_state"])
         mean_rewards = self.aviary.mean_of_members(rewards, members)
         return self._observer.observe(observations), mean_rewards, terminated, truncated, infos
+
+    @exclusive
+    def set_condition(self, drones: Any = None, worlds: Any = None, **changes: Any) -> None:
+        """Change drones or the wind in flight; see `Aviary.set_condition`."""
+        self._batch.set_condition(drones, worlds, **changes)
 
     @exclusive
     def save_state(self, worlds: Any = None) -> Snapshot:

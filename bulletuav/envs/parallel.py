@@ -20,7 +20,7 @@ from bulletuav.envs.reset_options import reset_options
 from bulletuav.envs.snapshot import EnvironmentSnapshot, Snapshot, require_environment_snapshot
 from bulletuav.envs.spaces import drone_action_space, drone_numbers
 from bulletuav.envs.teams import team_rows
-from bulletuav.errors import find_choice, shown, unknown
+from bulletuav.errors import as_sequence, find_choice, shown, unknown
 from bulletuav.tasks import TaskSource
 from bulletuav.tasks.observations.observer import Observation, part
 
@@ -222,6 +222,20 @@ class ParallelAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  #
         return lazy_infos(make)
 
     @exclusive
+    def set_condition(self, agents: Any = None, **changes: Any) -> None:
+        """Change drones or the wind in flight, from the next decision on.
+
+        Args:
+            agents: Name of an agent, several names, or None for all.
+            **changes: See `Aviary.set_condition`, like the errors.
+        """
+        rows = None
+        if agents is not None:
+            listed = [agents] if isinstance(agents, str) else as_sequence("agents", agents)
+            rows = [find_choice("agent", agent, self._rows) for agent in listed]
+        self.aviary.set_condition(rows, **changes)
+
+    @exclusive
     def save_state(self) -> Snapshot:
         """Save the complete state; see `Aviary.save_state`."""
         return self.aviary.save_state()
@@ -372,6 +386,11 @@ class TurnAviary(LabelledEnvironment, OrderEnforcingWrapper):  # type: ignore[mi
     def close(self) -> None:
         """Free the engine. Further calls do nothing."""
         super().close()
+
+    @exclusive
+    def set_condition(self, agents: Any = None, **changes: Any) -> None:
+        """Change drones or the wind in flight; see `ParallelAviary.set_condition`."""
+        self._parallel.set_condition(agents, **changes)
 
     @exclusive
     def save_state(self) -> EnvironmentSnapshot:

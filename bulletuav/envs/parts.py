@@ -17,6 +17,7 @@ from bulletuav.dynamics.base import Dynamics, FlightSetup
 from bulletuav.engine.body_source import UNIT
 from bulletuav.engine.engine import Engine
 from bulletuav.envs.bodies import MAX_SPEED, MAX_SPIN
+from bulletuav.envs.events import MAX_GRAVITY
 from bulletuav.envs.options import EnvOptions
 from bulletuav.envs.randomization import Uncertainty
 from bulletuav.envs.renderer import Renderer
@@ -48,7 +49,9 @@ BODY_BOUNDS: Bounds = {
     "body spin": (-MAX_SPIN, MAX_SPIN),
 }
 """Bounds of these arrays in snapshots"""
-CONDITION_BOUNDS: Bounds = MappingProxyType({"rotor ratio": (0.0, 1.0)})
+CONDITION_BOUNDS: Bounds = MappingProxyType(
+    {"rotor ratio": (0.0, 1.0), "gravity": (0.0, MAX_GRAVITY)}
+)
 """Bounds of `Parts.condition_arrays`"""
 
 
@@ -130,17 +133,21 @@ class Parts(ABC):
 
     def condition_arrays(self) -> dict[str, np.ndarray]:
         """Return the arrays (W, ...) by name that `conditions` change."""
-        return {"rotor ratio": self.dynamics.rotor_ratio}
+        dynamics = self.dynamics
+        return {"rotor ratio": dynamics.rotor_ratio, "gravity": dynamics.local_gravity}
 
     def state_hashes(self, rng: list[np.random.Generator], worlds: np.ndarray) -> tuple[str, ...]:
         """Return a hash of the state of worlds (S,), with their random generators."""
-        data, ratio = pack_worlds(self.state_arrays(), rng, worlds), self.dynamics.rotor_ratio
-        weak = (ratio[worlds] != 1.0).any(axis=(1, 2))
-        # Worlds without weak rotors have the hash of their other arrays
-        rows = [
-            np.append(row, ratio[w].ravel().view(np.uint8)) if is_weak else row
-            for w, row, is_weak in zip(worlds.tolist(), data, weak.tolist(), strict=True)
-        ]
+        data, rows = pack_worlds(self.state_arrays(), rng, worlds), []
+        usual = {"rotor ratio": 1.0, "gravity": self.options.gravity}
+        for w, row in zip(worlds.tolist(), data, strict=True):
+            # Worlds without weak rotors and another gravity have the hash of their other arrays
+            changed = [
+                array[w].ravel().view(np.uint8)
+                for name, array in self.condition_arrays().items()
+                if (array[w] != usual[name]).any()
+            ]
+            rows.append(np.concatenate([row, *changed]))
         return hash_array_rows(rows)
 
     @abstractmethod

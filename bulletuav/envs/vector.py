@@ -186,6 +186,11 @@ class BatchAviary(LabelledEnvironment):
         )
 
     @exclusive
+    def set_condition(self, drones: Any = None, worlds: Any = None, **changes: Any) -> None:
+        """Change drones or the wind in flight; see `Aviary.set_condition`."""
+        self.aviary.set_condition(drones, worlds, **changes)
+
+    @exclusive
     def save_state(self, worlds: Any = None) -> Snapshot:
         """Save the complete state of worlds; see `Aviary.save_state`."""
         return self.aviary.save_state(worlds)

@@ -7,8 +7,9 @@ import os
 import pickle
 import time
 import weakref
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from multiprocessing.connection import Connection
+from types import MappingProxyType
 from typing import Any, cast
 
 import numpy as np
@@ -307,6 +308,12 @@ class WorkerAviary(LabelledEnvironment):
         return self._observations(), rewards, *ends, infos  # type: ignore[return-value]
 
     @exclusive
+    def set_condition(self, drones: Any = None, worlds: Any = None, **changes: Any) -> None:
+        """Change drones or the wind in flight; see `Aviary.set_condition`."""
+        chosen = self._spec.indices(worlds)
+        self._request_of_owners("set_condition", chosen, {"drones": drones, **changes})
+
+    @exclusive
     def save_state(self, worlds: Any = None) -> Snapshot:
         """Save the complete state of worlds; see `Aviary.save_state`."""
         rows, saved = self._request_of_owners("save_state", self._spec.indices(worlds))
@@ -322,7 +329,7 @@ class WorkerAviary(LabelledEnvironment):
         require_snapshot(snapshot, Snapshot, len(chosen))
         # Checked here before any process writes
         self._require_shard().require_loadable(snapshot)
-        self._request_of_owners("load_state", chosen, snapshot)
+        self._request_of_owners("load_state", chosen, snapshot=snapshot)
         self._started = True
         return self._observations()
 
@@ -334,21 +341,25 @@ class WorkerAviary(LabelledEnvironment):
         return tuple(hashes[k] for k in np.argsort(rows))
 
     def _request_of_owners(
-        self, method: str, worlds: np.ndarray, snapshot: Snapshot | None = None
+        self,
+        method: str,
+        worlds: np.ndarray,
+        keywords: Mapping[str, Any] = MappingProxyType({}),
+        snapshot: Snapshot | None = None,
     ) -> tuple[np.ndarray, list[Any]]:
-        """Call a snapshot method in all processes, each with those of worlds (S,) that it has.
+        """Call a method in all processes, each with those of worlds (S,) that it has.
 
         Returns:
             (S,) indices into `worlds` in the order of the answers, and the answer of each process.
         """
-        keywords, order = {}, []
+        requests, order = {}, []
         for k, part in enumerate(self._slices):
             rows = np.flatnonzero((worlds >= part.start) & (worlds < part.stop))
-            keywords[k] = {"worlds": (worlds[rows] - part.start).tolist()}
+            requests[k] = {"worlds": (worlds[rows] - part.start).tolist(), **keywords}
             if snapshot is not None:
-                keywords[k]["snapshot"] = snapshot[rows]
+                requests[k]["snapshot"] = snapshot[rows]
             order.append(rows)
-        return np.concatenate(order), self._request(method, keywords)
+        return np.concatenate(order), self._request(method, requests)
 
     @exclusive
     def state(self) -> np.ndarray:

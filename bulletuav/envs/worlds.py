@@ -62,7 +62,8 @@ class Worlds(Parts):
         options.check_setpoint_levels(spec.action.kind_levels, self.dynamics.consumes)
         self.spec, self.task, self.action = spec, task, spec.action
         self.observer, self.num_worlds = spec.observer, spec.num_worlds
-        self.energy = Energy(options, self.parameters, self.dynamics.supply)
+        given = (self.dynamics.supply, self.dynamics.local_gravity)
+        self.energy = Energy(options, self.parameters, *given)
         self.schedule = Schedule(self, self.energy)
         self.contacts = ContactRecord(self.dynamics)
         self.rng: list[np.random.Generator] = [UNSTARTED] * self.num_worlds
@@ -157,8 +158,8 @@ class Worlds(Parts):
         if not self.sensors.sensors:
             return
         targets = self.task.targets(self.state.scene)
-        action = self.state.action
-        moment = Moment(before, after, targets, mask, self.state.steps, self.rng, {}, action)
+        given = (self.state.action, self.dynamics.local_gravity)
+        moment = Moment(before, after, targets, mask, self.state.steps, self.rng, {}, *given)
         for name, value in self.sensors.measure(moment, self.show).items():
             held = self.readings.get(name)
             if held is None or held is self.nothing_seen:

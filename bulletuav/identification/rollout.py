@@ -123,6 +123,7 @@ def roll_out(
         np.zeros((1, num_drones, 3)),
         np.ones((1, num_drones)),
         np.ones((1, num_drones, num_rotors)),
+        np.full((1, num_drones), gravity),
     )
     for k in range(3):
         air.torque[0, 0, k] = torque_bias[k]

@@ -84,7 +84,7 @@ class SensorSetup:
     Attributes:
         shape: Number of worlds and of drones, (W, N).
         period: Time between decisions, s.
-        gravity: Gravitational acceleration, m/s^2.
+        gravity: Gravitational acceleration at the start of an episode, m/s^2.
         radius: (N,) collision radius of each drone, m.
         max_range: Range of range finder and clearance, m.
         beams: Directions of the range finder's beams.
@@ -136,6 +136,8 @@ class Moment(NamedTuple):
         rngs: Random generator of each world; draw numbers of a world from its own generator only.
         readings: Readings of earlier sensors at this moment, by name.
         action: (W, N, A) actions of the decision; without numbers in an airspace.
+        gravity: (W, N) gravitational acceleration that acts on the drones, m/s^2; None for that of
+            the setup.
     """
 
     before: Swarm
@@ -146,6 +148,7 @@ class Moment(NamedTuple):
     rngs: Sequence[np.random.Generator]
     readings: dict[str, np.ndarray]
     action: np.ndarray
+    gravity: np.ndarray | None = None
 
     @property
     def position(self) -> np.ndarray:

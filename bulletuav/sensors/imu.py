@@ -56,7 +56,7 @@ def _measure(
     before: Swarm,
     after: Swarm,
     period: float,
-    gravity: float,
+    gravity: np.ndarray,
     scale: np.ndarray,
     normal: np.ndarray,
     root: float,
@@ -72,7 +72,7 @@ def _measure(
         for i in range(reading.shape[1]):
             _, quaternion, velocity, rates = get_state(after, w, i)
             start = vec3(before.velocity, w, i)
-            force = specific_force(quaternion, start, velocity, period, gravity)
+            force = specific_force(quaternion, start, velocity, period, gravity[w, i])
             truth = force, rates
             for s in range(2):
                 for k in range(3):
@@ -120,13 +120,14 @@ class Imu(Sensor):
         self._bias, self._reading = np.zeros((2, *setup.shape, 2, 3))
         self.acceleration = self._reading[:, :, 0]
         self.rates = self._reading[:, :, 1]
+        self._gravity = np.full(setup.shape, float(setup.gravity))
         self._normal = np.zeros((*setup.shape, 4, 3))  # two random walks, then two white noises
 
     def reset(self, world: int, swarm: Swarm, known: Swarm, rng: np.random.Generator) -> None:
         """Take the first readings of a world, without acceleration and biases."""
         self._bias[world] = 0
         self._draw(world, rng)
-        self._take(np.array([world]), swarm, swarm, 0.0)
+        self._take(np.array([world]), swarm, swarm, 0.0, self._gravity)
 
     def measure(self, moment: Moment) -> Mapping[str, np.ndarray]:
         """Measure the mean acceleration over the decision, and the angular velocity after it.
@@ -136,16 +137,19 @@ class Imu(Sensor):
         worlds = np.flatnonzero(moment.flying)
         for k in worlds.tolist():
             self._draw(k, moment.rngs[k])
-        self._take(worlds, moment.before, moment.after, np.sqrt(self.setup.period))
+        gravity = self._gravity if moment.gravity is None else moment.gravity
+        self._take(worlds, moment.before, moment.after, np.sqrt(self.setup.period), gravity)
         return {"imu": np.concatenate([self.acceleration, self.rates], axis=-1)}
 
     def _draw(self, world: int, rng: np.random.Generator) -> None:
         if any(scale[world].any() for scale in self._scales()):
             rng.standard_normal(out=self._normal[world])
 
-    def _take(self, worlds: np.ndarray, before: Swarm, after: Swarm, root: float) -> None:
+    def _take(
+        self, worlds: np.ndarray, before: Swarm, after: Swarm, root: float, gravity: np.ndarray
+    ) -> None:
         """Measure in `worlds`; `root` is the square root of the elapsed time, s, for the walks."""
-        period, gravity = self.setup.period, self.setup.gravity
+        period = self.setup.period
         scale = np.stack(self._scales(), axis=-1)
         state = (self._normal, root, self._bias, self._reading)
         _measure(worlds, before, after, period, gravity, scale, *state)

@@ -4,6 +4,12 @@ Level flight follows Zeng, Xu and Zhang. Climb and descent, which their model la
 momentum theory and Leishman's fit of the vortex-ring state. The power that vertical motion adds in
 hover is added at every level speed (our choice).
 
+A load changes the weight W in flight. Their blade power delta / 8 rho s A (Omega R)^3, induced
+power (1 + k) W^(3/2) / (2 rho A)^(1/2), induced velocity (W / (2 rho A))^(1/2) and tip speed
+Omega R follow from W, as the thrust of rotors of fixed pitch grows with the square of their speed
+Omega. With n W instead of W the power at the shafts is therefore n^(3/2) times that at the velocity
+V / n^(1/2).
+
 References:
     Y. Zeng, J. Xu, R. Zhang, Energy Minimization for Wireless Communication with Rotary-Wing UAV,
     IEEE TWC 18(4), 2019.
@@ -31,6 +37,8 @@ INDUCED_EXCESS = 0.1
 """Induced power losses of real rotors, as a fraction of the ideal induced power."""
 PARASITE_AREA_RATIO = 0.03
 """Flat-plate area of the fuselage divided by the area of the discs."""
+MIN_LOAD = 1e-6
+"""Minimum weight divided by that of the airframe"""
 
 
 class RotaryWing(NamedTuple):
@@ -230,7 +238,7 @@ def vertical_power(climb: float, wing: RotaryWing) -> float:
 
 
 @func
-def propulsion_power(velocity: Vec3Like, wing: RotaryWing) -> float:
+def propulsion_power(velocity: Vec3Like, wing: RotaryWing, load: float = 1.0) -> float:
     """Return the electrical power at a velocity; also for lanes of velocities.
 
     It is the power of level flight plus that of the climb, with electrical losses. The power at the
@@ -240,13 +248,18 @@ def propulsion_power(velocity: Vec3Like, wing: RotaryWing) -> float:
     Args:
         velocity: (3,) velocity through the air, world axes, m/s.
         wing: Constants of the drone.
+        load: Weight divided by that of the constants.
 
     Returns:
         The power, W.
     """
-    level = math.sqrt(velocity[0] * velocity[0] + velocity[1] * velocity[1])
+    # A drone without weight has no induced velocity to divide by
+    load = max(load, MIN_LOAD)
+    root = math.sqrt(load)
+    level = math.sqrt(velocity[0] * velocity[0] + velocity[1] * velocity[1]) / root
     blade, induced, parasite = level_power(level, wing)
-    shafts = max(blade + induced + parasite + vertical_power(velocity[2], wing), wing.blade)
+    climb = vertical_power(velocity[2] / root, wing)
+    shafts = load * root * max(blade + induced + parasite + climb, wing.blade)
     return shafts / wing.efficiency + wing.electronics
 
 

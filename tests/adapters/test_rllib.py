@@ -83,6 +83,9 @@ def make(rllib):
 
 def random_actions(env, rng):
     """An action for each of the agents that fly, and numbers for the others all the same."""
+    if isinstance(env.action_spaces["drone_0"], Discrete):
+        choices = {agent: rng.integers(7) for agent in sorted(env.possible_agents)}
+        return {agent: choices[agent] for agent in env.agents}
     actions = {
         agent: rng.uniform(-1, 1, 3).astype(np.float32) for agent in sorted(env.possible_agents)
     }
@@ -225,7 +228,11 @@ def test_symlog_compresses_observations_and_their_bounds(make):
     [
         ({"task": None}, "env_config has no task"),
         ({"task": "convergence"}, "did you mean 'converge'"),
-        ({"action": "discrete", "action_masks": True}, "env_config has action_masks"),
+        ({"action_masks": True}, "action_masks"),
+        (
+            {"action": "discrete", "action_masks": True, "observation_format": "dict"},
+            "action_masks with RLlib is for vectors",
+        ),
         ({"seed": 3}, r"env_config has a seed.*config\.debugging\(seed="),
         ({"dynamic": "bullet"}, "did you mean 'dynamics'"),
         ({"symlog": True, "observation_format": "dict"}, "symlog is for vectors"),
@@ -234,6 +241,30 @@ def test_symlog_compresses_observations_and_their_bounds(make):
 def test_configurations_that_cannot_be(worlds, change, message, make):
     with pytest.raises(ValueError, match=message):
         make(worlds, **SHORT | change)
+
+
+def test_masks_are_next_to_observations(make):
+    config = BREAK | MASKED
+    env = make(**config)
+    other = bulletuav.parallel_env(**config)
+    space = env.observation_spaces["drone_1"]
+    assert list(space.spaces) == ["action_mask", "observations"]
+    seen, _ = env.reset(seed=1)
+    expected, infos = other.reset(seed=1)
+    rng, invalid = np.random.default_rng(0), 0
+    for _ in range(40):
+        for agent, one in seen.items():
+            assert space.contains(one)
+            np.testing.assert_equal(one["observations"], expected[agent])
+            np.testing.assert_equal(one["action_mask"], infos[agent]["action_mask"])
+            invalid += int((one["action_mask"] == 0).sum())
+        if not other.agents:
+            break
+        actions = random_actions(env, rng)
+        seen, *_ = env.step(actions)
+        expected, _, _, _, infos = other.step(actions)
+    assert invalid > 0
+    other.close()
 
 
 def test_stages_and_teams(make):
@@ -269,9 +300,12 @@ def step_each(envs, actions, over):
     return [list(one) for one in zip(*told, strict=True)]
 
 
-@pytest.mark.parametrize("symlog", [False, True])
-def test_worlds_at_once_are_the_same_as_one_by_one(make, symlog):
-    config = BREAK | {"horizon": 30, "symlog": symlog}
+MASKED = {"action": "discrete", "action_masks": True}
+
+
+@pytest.mark.parametrize("more", [{}, {"symlog": True}, MASKED, MASKED | {"symlog": True}])
+def test_worlds_at_once_are_the_same_as_one_by_one(make, more):
+    config = BREAK | {"horizon": 30} | more
     vector, envs = make(3, **config), [make(**config) for _ in range(3)]
     seen, infos = vector.reset(seed=4)
     each = [env.reset(seed=4 + k) for k, env in enumerate(envs)]

@@ -18,8 +18,12 @@ import ray
 from ray.rllib.algorithms.appo import APPOConfig
 from ray.rllib.algorithms.ppo import PPOConfig
 from ray.rllib.core.rl_module.default_model_config import DefaultModelConfig
+from ray.rllib.core.rl_module.rl_module import RLModuleSpec
 from ray.rllib.env.multi_agent_env_runner import MultiAgentEnvRunner
 from ray.rllib.env.wrappers.pettingzoo_env import ParallelPettingZooEnv
+from ray.rllib.examples.rl_modules.classes.action_masking_rlm import (
+    ActionMaskingTorchRLModule,
+)
 from swarm import HORIZON, OPTIONS, make_env
 
 import bulletuav
@@ -43,7 +47,7 @@ def configure(made, runner, config=CONFIG, by="swarm"):
         made.environment(DroneMultiAgentEnv, env_config=config)
         .env_runners(num_env_runners=0, num_envs_per_env_runner=4, env_runner_cls=runner)
         .learners(num_learners=0)
-        .multi_agent(**policies("crossing", by=by, **task))
+        .multi_agent(**policies(config["task"], by=by, **task))
         .rl_module(model_config=DefaultModelConfig(fcnet_hiddens=[16, 16]))
         .callbacks(on_episode_end=log_outcomes)
         .debugging(seed=0)
@@ -102,6 +106,37 @@ def check_training():
             )
 
 
+def check_masks():
+    """PPO trains with RLlib's own module for masks, and never chooses an invalid move."""
+    # A small arena, at whose bounds moves are invalid
+    arena = {"difficulty": "easy", "radius": 20.0, "margin": 10.0, "horizon": 60}
+    masked = {"action": "discrete", "action_masks": True, "dynamics": "point_mass", **arena}
+    for kind, runner in RUNNERS.items():
+        config = configure(PPOConfig(), runner, {"task": "converge", "num_drones": 4, **masked})
+        config.rl_module(rl_module_spec=RLModuleSpec(module_class=ActionMaskingTorchRLModule))
+        config.training(train_batch_size_per_learner=256, minibatch_size=64, num_epochs=1)
+        algorithm = config.build_algo()
+        results = algorithm.train()["env_runners"]
+        chosen, invalid = 0, 0
+        for episode in algorithm.env_runner.sample(num_episodes=4):
+            for drone in episode.agent_episodes.values():
+                observations, actions = drone.get_observations(), drone.get_actions()
+                masks = observations["action_mask"][: len(actions)]
+                chosen += len(actions)
+                assert masks[np.arange(len(actions)), actions].all()
+                invalid += int((masks == 0).sum())
+        assert chosen > 20
+        assert invalid > 0
+        function = rows_function(algorithm)
+        result = bulletuav.evaluate("converge", function, episodes=2, num_drones=4, **masked)
+        assert result.estimates()["length"].mean <= 60
+        algorithm.stop()
+        print(
+            f"ppo, masks, {kind}: return {results['episode_return_mean']:.1f}, {chosen} valid "
+            f"choices, where {invalid} were invalid"
+        )
+
+
 def check_flight(algorithm, names, more):
     """What was learned flies by the package's own evaluation."""
     function = rows_function(algorithm, names[0])
@@ -115,6 +150,7 @@ def main():
     connect(num_cpus=1, log_to_driver=False, _temp_dir=FOLDER.name)
     check_ends()
     check_training()
+    check_masks()
     ray.shutdown()
 
 

@@ -44,6 +44,55 @@ except KeyboardInterrupt:
 """
 
 
+IN_CONVERSION = """
+import os, signal, sys, time
+from typing import NamedTuple
+
+import numba
+from numba.core import serialize
+
+from bulletuav import interrupts
+
+
+class Inner(NamedTuple):
+    one: float
+
+
+class Outer(NamedTuple):
+    first: Inner
+    other: float
+
+
+@numba.njit
+def make(one):
+    return Outer(Inner(one), 2 * one)
+
+
+find, calls = serialize._numba_unpickle, 0
+
+
+def _numba_unpickle(*arguments):
+    global calls
+    calls += 1
+    if calls == int(sys.argv[1]):
+        os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(0)
+    return find(*arguments)
+
+
+serialize._numba_unpickle = _numba_unpickle
+signal.signal(signal.SIGINT, interrupts.exit_on_interrupt)
+interrupts.atexit.register(interrupts._exit_after_interrupt)
+try:
+    with interrupts.raise_interrupts():
+        print(make(1.0))
+        time.sleep(60)
+except KeyboardInterrupt:
+    print("caught")
+    sys.exit(1)
+"""
+
+
 @pytest.mark.parametrize(
     "module",
     [
@@ -126,6 +175,19 @@ def test_in_a_callback_of_c_code_it_comes_again():
         [sys.executable, "-c", IN_CALLBACK], capture_output=True, text=True, timeout=120
     )
     assert (run.returncode, run.stdout, run.stderr) == (130, "caught\n", "")
+
+
+@pytest.mark.parametrize("call", [1, 2])
+def test_while_a_result_is_converted_it_comes_again(call):
+    """Numba's machine code does not notice an exception of the functions that it calls then."""
+    run = subprocess.run(
+        [sys.executable, "-c", IN_CONVERSION, str(call)],
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    made = "Outer(first=Inner(one=1.0), other=2.0)\n"
+    assert (run.returncode, run.stdout, run.stderr) == (130, f"{made}caught\n", "")
 
 
 def test_children_start_without_it():

@@ -401,10 +401,3 @@ def test_random_drones_of_events_are_among_those_that_take_part():
     assert aviary.worlds.members[np.arange(32), drawn].all()
     assert len(set(drawn.tolist())) > 3
     aviary.close()
-
-
-def test_batteries_by_weight_take_no_parcel():
-    options = {"battery_capacity": 5.0, "events": [{"time": 1.0, "added_mass": 0.01}]}
-    with pytest.raises(ValueError, match="added_mass of an event .* use energy='actuator'"):
-        bulletuav.Aviary("crossing", dynamics="rigid_body", **options)
-    bulletuav.Aviary("crossing", dynamics="rigid_body", energy="actuator", **options).close()

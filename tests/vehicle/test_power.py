@@ -1,3 +1,4 @@
+import dataclasses
 import math
 
 import numpy as np
@@ -328,3 +329,22 @@ def test_at_ten_metres_a_second_the_formula_gains_by_inflow_and_the_rotors_do_no
     # Blades 14.0 (1 + 3 (10 / 45.3)^2) = 16.1, induced 17.2, fuselage 2.3: 35.6 W at the shafts
     assert power["zeng", 1.0] == pytest.approx(35.6 / 0.78 + 5, abs=0.1)
     assert 1.1 < power["actuator", 1.0] / power["actuator", 0.0] < 1.25
+
+
+@pytest.mark.parametrize("velocity", [(0.0, 0.0, 0.0), (3.0, 4.0, 1.0), (9.0, 0.0, -3.0)])
+@pytest.mark.parametrize("load", [0.3, 1.0, 1.25, 2.5])
+def test_a_load_gives_the_power_of_a_heavier_airframe(velocity, load):
+    light = load_airframe("hummingbird")
+    heavy = dataclasses.replace(light, mass=load * light.mass)
+    assert propulsion_power(velocity, airframe_wing(light), load) == pytest.approx(
+        propulsion_power(velocity, airframe_wing(heavy)), rel=1e-12
+    )
+
+
+def test_a_drone_without_weight_has_only_the_drag_of_its_body():
+    wing = airframe_wing(load_airframe("hummingbird"))
+    parasite = level_power(5.0, wing)[2]
+    power = propulsion_power((5.0, 0.0, 0.0), wing, 0.0)
+    # Blades that hardly turn take hardly any
+    assert power == pytest.approx(parasite / wing.efficiency + wing.electronics, rel=1e-2)
+    assert math.isfinite(propulsion_power((5.0, 0.0, -50.0), wing, 0.0))

@@ -6,7 +6,7 @@ from bulletuav.envs.worlds import Worlds
 
 
 class ApplyEvents(Stage):
-    """Change drones and wind by the events that are due, with the option `events`."""
+    """Change drones, wind and gravity by the events that are due, with option `events`."""
 
     name = "events"
     reads = ("time", "flying")
