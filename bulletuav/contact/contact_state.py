@@ -27,6 +27,18 @@ TIME_TO_SLEEP = 0.25
 """Time at rest after which a drone sleeps, unless it rests safely on a face, s"""
 
 
+class ObstacleTurns(NamedTuple):
+    """Rotation of the task's obstacles in the present decision.
+
+    Attributes:
+        before: (W, K, 4) attitudes at the beginning of the decision, body to world.
+        rotation: (W, K, 3) rotations in the decision, axis times angle, world axes, rad.
+    """
+
+    before: np.ndarray
+    rotation: np.ndarray
+
+
 class ContactState(NamedTuple):
     """State of the contacts of W worlds of N drones, for compiled code.
 
@@ -55,6 +67,7 @@ class ContactState(NamedTuple):
         speed: (W,) speed of the fastest point of any obstacle in this decision, m/s.
         before: (W, K, 3) positions of the task's obstacles at the beginning of the decision, m.
         after: (W, K, 3) positions of the task's obstacles at the end of the decision, m.
+        turns: Rotation of the task's obstacles in the decision.
         memory: Contact cache: impulses of the last substep.
     """
 
@@ -81,6 +94,7 @@ class ContactState(NamedTuple):
     speed: np.ndarray
     before: np.ndarray
     after: np.ndarray
+    turns: ObstacleTurns
     memory: ContactCache
 
 
@@ -128,6 +142,7 @@ def make_contact_state(
         speed=np.zeros(worlds),
         before=np.zeros((worlds, obstacles, 3)),
         after=np.zeros((worlds, obstacles, 3)),
+        turns=ObstacleTurns(np.zeros((worlds, obstacles, 4)), np.zeros((worlds, obstacles, 3))),
         memory=make_contact_cache(*each),
     )
 

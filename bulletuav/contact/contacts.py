@@ -10,7 +10,8 @@ from bulletuav.contact.contact_state import ContactState, wake_near_obstacles
 from bulletuav.contact.impact import record_overlap
 from bulletuav.contact.manifold import ContactWorld
 from bulletuav.contact.motion_bounds import update_budgets
-from bulletuav.contact.moving_bodies import bound_body_motion, place_world_bodies
+from bulletuav.contact.moving_bodies import STILL, bound_body_motion, place_world_bodies
+from bulletuav.contact.obstacle_turns import turn_obstacle
 from bulletuav.contact.sleeping import update_sleep
 from bulletuav.contact.sorting import sort_drones
 from bulletuav.contact.substep import find_pairs, resolve_contacts
@@ -55,6 +56,8 @@ def place_world_obstacles(contact: ContactState, w: int, substep: int, step: Tim
             change = contact.after[w, k, m] - contact.before[w, k, m]
             contact.scenery.place[w, k, m] = contact.before[w, k, m] + fraction * change
             contact.scenery.velocity[w, k, m] = change / period
+        if vec3(contact.turns.rotation, w, k) != STILL:
+            turn_obstacle(contact.scenery, contact.turns, w, k, fraction, period)
     later = (substep + 1) / step.substeps
     place_world_bodies(contact.scenery, w, fraction, later, step.dt)
 
@@ -185,13 +188,17 @@ def start_decision(contact: ContactState, alive: np.ndarray, period: float) -> N
             _restore_sleeper_contacts(contact, alive, w)
 
         # Obstacles that were moved since the last decision may be close to any drone
-        jumped, square = False, 0.0
+        jumped, square, turning = False, 0.0, 0.0
         for k in range(contact.before.shape[1]):
             begin, end = vec3(contact.before, w, k), vec3(contact.after, w, k)
             displacement = minus(end, begin)
             square = max(square, dot(displacement, displacement))
+            rotation = vec3(contact.turns.rotation, w, k)
+            if rotation != STILL:
+                reach = contact.scenery.table.radius[contact.scenery.first_body + k]
+                turning = max(turning, math.sqrt(dot(rotation, rotation)) * reach)
             jumped = jumped or vec3(contact.scenery.place, w, k) != begin
-        fastest = max(math.sqrt(square), bound_body_motion(contact.scenery.bodies, w))
+        fastest = max(math.sqrt(square) + turning, bound_body_motion(contact.scenery.bodies, w))
         contact.speed[w] = fastest / period
         if jumped:
             for i in range(alive.shape[1]):

@@ -198,6 +198,7 @@ class BulletDynamics(Dynamics):
         turns = engine.scenery.quaternion[:, : before.shape[1]]
         has_bodies = len(engine.scenery.bodies.reach) > 0
         moving, flying = bool((before != after).any()), np.any(alive, axis=1)
+        turning = bool(self.contact.turns.rotation.any())
         self._scratch.driven[:] = alive
         touched = []
         for piece in range(step.substeps):
@@ -205,7 +206,7 @@ class BulletDynamics(Dynamics):
             if moving:
                 share = (piece + 1) / step.substeps
                 engine.set_obstacles(before + share * (after - before), turns, flying)
-            if has_bodies:
+            if has_bodies or turning:
                 place_obstacles(self.contact, piece + 1, step)
                 engine.show_obstacles()
             self._advance_once(decision)

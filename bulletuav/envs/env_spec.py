@@ -239,7 +239,9 @@ class EnvSpec:
             if self.options.camera == "bullet" and name in self._names:
                 raise ValueError(f"camera 'bullet' draws no {name!r}: use camera 'compiled'")
         for name, images in CAMERA_OPTIONS.items():
-            given = getattr(self.options, name) != getattr(EnvOptions, name)
+            usual = getattr(EnvOptions, name)
+            usual = self.task.defaults.get(name, usual), usual
+            given = getattr(self.options, name) not in usual
             if given and not wanted.intersection(images):
                 raise ValueError(
                     f"{name} has no effect without {' or '.join(map(repr, images))}: leave it out, "

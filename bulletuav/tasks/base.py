@@ -22,6 +22,7 @@ from bulletuav.tasks.parts import base as part_base
 from bulletuav.tasks.parts.base import Part
 from bulletuav.tasks.parts.restarts import Restarts
 from bulletuav.tasks.parts.safety import Safety
+from bulletuav.vehicle.swarm import GROUND
 
 DEFAULT_SHOWS: Mapping[str, str] = MappingProxyType(
     {
@@ -101,6 +102,8 @@ class Task(ABC, Generic[ConfigT]):
         computed_terms: Names of the terms that `compute_terms` computes from the other terms.
         has_goals: Whether drones have goals, as `goal_distance` reports. If False, `Scene.goal` is
             unused.
+        turns_obstacles: Whether `move_scene` changes attitudes of obstacles, too. Within a decision
+            they rotate about their positions at constant rates.
         shows: Infos that tables and pictures of a flight show, with their captions.
         baseline: Policy that flies the task when none is named.
         oracle: Policy that knows the whole state and shows that a difficulty can be done; the
@@ -125,6 +128,7 @@ class Task(ABC, Generic[ConfigT]):
         takes_off: Whether drones start on the ground.
         lands: Whether drones may touch the ground: contacts marked in `Frame.landed` are no
             collisions.
+        landing_places: What drones may land on, as in `Contacts.other`; by default the ground.
         team_names: Names of the teams, by index; empty if there is one team.
         speed_limit: (N,) maximum commanded speed of each drone, m/s, at most max_speed; None if
             max_speed is the only limit.
@@ -151,10 +155,12 @@ class Task(ABC, Generic[ConfigT]):
     is_game: ClassVar[bool] = False
     places: ClassVar[tuple[str, ...]] = ()
     has_goals: ClassVar[bool] = True
+    turns_obstacles: ClassVar[bool] = False
     shows: ClassVar[Mapping[str, str]] = DEFAULT_SHOWS
 
     team_names: ClassVar[tuple[str, ...]] = ()
 
+    landing_places: tuple[int, ...] = (GROUND,)
     safety: Safety | None = None
     restarts: Restarts | None = None
     rebound: float | None = None

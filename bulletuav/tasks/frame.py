@@ -296,8 +296,8 @@ class Frame:
     def landed(self) -> np.ndarray:
         """(W, N) bool, whether the drone stands or lands on the ground; only if `Task.lands`.
 
-        A landing touches nothing but the ground, at MAX_TOUCHDOWN_SPEED or less, and with a tilt of
-        at most 30 degrees. It is not a collision.
+        A landing touches nothing but the ground, or the task's `landing_places`, at
+        MAX_TOUCHDOWN_SPEED or less, and with a tilt of at most 30 degrees. It is not a collision.
         """
         return np.zeros(self.alive.shape, dtype=bool)
 

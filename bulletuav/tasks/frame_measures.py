@@ -110,23 +110,33 @@ def mark_contacts(measures: FrameMeasures, frame: Frame) -> None:
     measures.impulse[:] = fresh.impulse
 
 
-def mark_landings(measures: FrameMeasures, frame: Frame, standing_height: np.ndarray) -> None:
+def mark_landings(
+    measures: FrameMeasures,
+    frame: Frame,
+    standing_height: np.ndarray,
+    places: tuple[int, ...] = (GROUND,),
+) -> None:
     """Mark drones that stand or land on the ground, see `Frame.landed`; landings are no collisions.
 
     Args:
         measures: Measures of the frame, modified.
         frame: The decision.
         standing_height: (N,) height of the centre of mass of a standing drone, m.
+        places: What drones may land on, as in `Contacts.other`.
     """
     touched, landed = frame.contacts, measures.landed
-    # Candidates touch something, or are as low as a standing drone without contact force
-    low = frame.after.position[..., 2] <= standing_height + STANDING_TOLERANCE
-    landed[:] = (measures.collision | low) & frame.alive
+    landed[:] = measures.collision & frame.alive
+    if GROUND in places:
+        # Drones as low as a standing drone may stand without contact force
+        low = frame.after.position[..., 2] <= standing_height + STANDING_TOLERANCE
+        landed |= low & frame.alive
     for swarm in (frame.before, frame.after):
         x, y = swarm.quaternion[..., 0], swarm.quaternion[..., 1]
         landed &= 1 - 2 * (x * x + y * y) >= MIN_TOUCHDOWN_COSINE
     # Other contacts and fast impacts are no landings
     rough = np.linalg.norm(touched.velocity, axis=-1) > MAX_TOUCHDOWN_SPEED
-    rough |= touched.other != GROUND
+    rough |= ~np.isin(touched.other, places)
+    # The sides of what drones may land on
+    rough |= touched.normal[:, 2] < MIN_TOUCHDOWN_COSINE
     landed[touched.world[rough], touched.drone[rough]] = False
     measures.collision[landed] = False

@@ -74,6 +74,11 @@ CASES = {
     "flocking": {"difficulty": "extreme", "num_drones": 6, "leader_turn": 0.5},
     "formation": {"num_drones": 4, "change_every": 2.0, "assignment": "free"},
     "race": {"difficulty": "extreme", "num_drones": 3, "contact_ends": "nothing"},
+    "pad_landing": {
+        "difficulty": "extreme",
+        "num_drones": 3,
+        "observation": ("velocity", "pad_clue", "lidar", "claimed_pads"),
+    },
 }
 DYNAMICS = ("single_integrator", "point_mass", "rigid_body", "bullet")
 

@@ -34,7 +34,10 @@ def usual(request):
 def test_the_docstring_tells_the_size_of_observations_and_actions(usual):
     name, aviary = usual
     doc = words(inspect.getdoc(find_task(name)))
-    size = aviary.reset(seeds=0).shape[-1]
+    observations = aviary.reset(seeds=0)
+    # Tasks with pictures observe a dict
+    vector = observations["vector"] if isinstance(observations, dict) else observations
+    size = vector.shape[-1]
     assert len(aviary.observer.labels) == size
     assert f"Observation, Box({size}) per drone" in doc
     assert f"Action, by default `{aviary.options.action}`" in doc

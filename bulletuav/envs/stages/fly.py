@@ -4,6 +4,7 @@ import numpy as np
 
 from bulletuav.compiled.kernel import kernel
 from bulletuav.compiled.program import Program
+from bulletuav.contact.obstacle_turns import finish_turns, start_turns
 from bulletuav.control.setpoint import Setpoints
 from bulletuav.envs.parts import add_obstacles, copy_vectors
 from bulletuav.envs.stages.base import Stage
@@ -25,8 +26,13 @@ class Fly(Stage):
         """Add the calls of the stage; see `Stage.add_to`."""
         state, task, dynamics = worlds.state, worlds.task, worlds.dynamics
         program.call(copy_vectors, state.scene.obstacle, dynamics.contact.after)
+        turns = (worlds.engine.scenery, state.scene.obstacle_quaternion, dynamics.contact.turns)
+        if task.turns_obstacles:
+            program.call(start_turns, *turns)
         setpoints = Setpoints(state.levels, state.setpoint)
         dynamics.add_to(program, state.swarm, state.flown, setpoints, state.wind)
+        if task.turns_obstacles:
+            program.call(finish_turns, *turns)
         add_obstacles(program, worlds.engine, state.scene.obstacle)
         if task.rebound is not None:
 

@@ -29,4 +29,5 @@ class Separate(Stage):
             program.callback(mark)
         if worlds.task.lands:
             standing = np.array(worlds.task.context.standing_height)
-            program.callback(lambda: mark_landings(account, frame, standing))
+            places = worlds.task.landing_places
+            program.callback(lambda: mark_landings(account, frame, standing, places))
