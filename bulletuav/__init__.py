@@ -31,6 +31,7 @@ MODULES = {
     "evaluate": "bulletuav.analysis.evaluation",
     "list_tasks": "bulletuav.tasks",
     "load_airframe": "bulletuav.vehicle.airframes",
+    "make_load": "bulletuav.vehicle.load",
     "parallel_env": "bulletuav.envs.parallel",
     "register": "bulletuav.registry",
     "team_env": "bulletuav.adapters.self_play",
@@ -59,6 +60,7 @@ if TYPE_CHECKING:  # the names of `MODULES` for type checkers and editors
     from bulletuav.vehicle.airframe import Airframe as Airframe
     from bulletuav.vehicle.airframes import available_airframes as available_airframes
     from bulletuav.vehicle.airframes import load_airframe as load_airframe
+    from bulletuav.vehicle.load import make_load as make_load
 else:  # type checkers would take any name for an attribute if they saw `__getattr__`
 
     def __getattr__(name: str) -> Any:

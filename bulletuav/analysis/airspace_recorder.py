@@ -28,12 +28,15 @@ from bulletuav.parsing import read_json
 from bulletuav.sensors.base import Label
 from bulletuav.sensors.lidar import Beam, make_beams
 from bulletuav.tasks.frame import Scene
+from bulletuav.vehicle.load import Load
 from bulletuav.vehicle.swarm import Contacts, Swarm
 
 AIRSPACE = "airspace"
 """Name of recordings of airspaces, in place of a task's"""
 OBSTACLE = "Obstacle"
 """Entry of a dict in `calls.json` that stands for an obstacle"""
+LOAD = "Load"
+"""Entry of a dict in `calls.json` that stands for a load"""
 STEP = "step"
 Call = list[Any]
 """Name of a method, and its arguments; or "step" and the number of steps"""
@@ -214,13 +217,15 @@ def _beginning(airspace: Airspace) -> tuple[str, int]:
 
 
 def _restored(value: Any) -> Any:
-    """Return a value of `_plain` with obstacles in place of their descriptions."""
+    """Return a value of `_plain` with obstacles and loads in place of their descriptions."""
     if isinstance(value, list):
         return [_restored(one) for one in value]
     if not isinstance(value, dict):
         return value
     if set(value) == {OBSTACLE}:
         return Obstacle(**value[OBSTACLE])
+    if set(value) == {LOAD}:
+        return Load.of_numbers(value[LOAD])
     return {name: _restored(one) for name, one in value.items()}
 
 
@@ -261,6 +266,8 @@ def _plain(value: Any) -> Any:
         return str(value)
     if isinstance(value, Obstacle):
         return {OBSTACLE: dataclasses.asdict(value)}
+    if isinstance(value, Load):
+        return {LOAD: value.numbers()}
     raise TypeError(f"{shown(value)} cannot be stored")
 
 

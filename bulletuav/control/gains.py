@@ -106,7 +106,8 @@ def gain_rows(airframes: Sequence[Airframe], max_speed: float) -> np.ndarray:
         row["max_deceleration"] = MAX_DECELERATION
         row["max_tilt"] = tan(MAX_TILT)
         row["max_thrust"] = airframe.max_thrust
-        row["mixer"][:num_rotors] = exact_pseudo_inverse(airframe.allocation())
+        if num_rotors:
+            row["mixer"][:num_rotors] = exact_pseudo_inverse(airframe.allocation())
 
         # The PID needs a motor map from PWM to rpm.
         if airframe.pwm is not None:

@@ -26,6 +26,7 @@ from bulletuav.contact.contacts import (
 from bulletuav.contact.reset import reset_contacts
 from bulletuav.control.cascade import Cascade
 from bulletuav.control.setpoint import SetpointLevel, Setpoints
+from bulletuav.dynamics.cables import make_cables
 from bulletuav.dynamics.divergence import any_lost
 from bulletuav.dynamics.setpoints import convert
 from bulletuav.engine.c_extension import surface_below
@@ -154,6 +155,7 @@ class Dynamics(ABC):
         feels_mass: Whether the flight depends on the mass in `flight.parameters`.
         feels_inertia: Whether the flight depends on the inertia in `flight.parameters`.
         feels_gravity: Whether the dynamics applies `air.local_gravity`.
+        feels_cables: Whether the dynamics moves bodies without rotors, and applies `cables`.
         contacts: Supported responses to contacts, the default first. "stop": a drone that touches
             something stays there until the decision ends. "impulse": contact impulses push the
             drone, and it slides and comes to rest; the velocities and rates of the swarm must be
@@ -169,6 +171,7 @@ class Dynamics(ABC):
             commanded speed that it reaches; one unless written.
         local_gravity: (W, N) gravitational acceleration that acts on each drone, m/s^2, downwards;
             that of `flight` unless written.
+        cables: Cables between the bodies; none unless replaced. Programs must then be built again.
     """
 
     name: ClassVar[str]
@@ -179,6 +182,7 @@ class Dynamics(ABC):
     feels_mass: ClassVar[bool] = False
     feels_inertia: ClassVar[bool] = False
     feels_gravity: ClassVar[bool] = False
+    feels_cables: ClassVar[bool] = False
     contacts: ClassVar[tuple[str, ...]] = ("stop", "impulse")
     sleeps: ClassVar[bool] = False
 
@@ -208,6 +212,7 @@ class Dynamics(ABC):
         rotors = max(int(flight.parameters["num_rotors"].max(initial=0)), 1)
         self.rotor_ratio = np.ones((*flight.parameters.shape, rotors))
         self.local_gravity = np.full(flight.parameters.shape, float(flight.gravity))
+        self.cables = make_cables((*flight.parameters.shape, rotors), 0)
         self._near_ground = self.feels_surface and bool((gains > 0).any())
         self._placing: _Placing | None = None
 

@@ -139,9 +139,9 @@ def pack_blocks(blocks: Any, air: Any, first: int) -> None:
 
 @func
 def _are_alike(blocks: Any, drone: int) -> bool:
-    """Check whether the `WIDTH` drones from `drone` on have the same number of rotors.
+    """Check whether the `WIDTH` drones from `drone` on have the same number of rotors, but not 0.
 
-    Lanes after the last drone of all worlds are ignored.
+    Loads have no controller. Lanes after the last drone of all worlds are ignored.
     """
     num_drones = blocks.rows.shape[1]
     count = blocks.rows.shape[0] * num_drones
@@ -150,7 +150,7 @@ def _are_alike(blocks: Any, drone: int) -> bool:
         row = blocks.rows[other // num_drones, other % num_drones]
         if row.num_rotors != rotors:
             return False
-    return True
+    return bool(rotors > 0)
 
 
 @func

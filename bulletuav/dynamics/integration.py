@@ -60,7 +60,7 @@ def slope_of(
 
 
 @func
-def _moved(state: State, time: float, slope: State) -> State:
+def advance_state(state: State, time: float, slope: State) -> State:
     """Return state + time * slope."""
     x, q, v, w = state
     dx, dq, dv, dw = slope
@@ -115,15 +115,15 @@ def stepped(
 ) -> State:
     """Do the step of `rk4` with `lifted` rotors in ground effect."""
     k1 = slope_of(state, speeds[0], rotors[0], around, lifted, row)
-    k2 = slope_of(_moved(state, 0.5 * dt, k1), speeds[1], rotors[1], around, lifted, row)
-    k3 = slope_of(_moved(state, 0.5 * dt, k2), speeds[1], rotors[1], around, lifted, row)
-    k4 = slope_of(_moved(state, dt, k3), speeds[2], rotors[2], around, lifted, row)
+    k2 = slope_of(advance_state(state, 0.5 * dt, k1), speeds[1], rotors[1], around, lifted, row)
+    k3 = slope_of(advance_state(state, 0.5 * dt, k2), speeds[1], rotors[1], around, lifted, row)
+    k4 = slope_of(advance_state(state, dt, k3), speeds[2], rotors[2], around, lifted, row)
     # k1 + 2 k2 + 2 k3 + k4
-    total = _moved(k1, 2.0, k2)
-    total = _moved(total, 2.0, k3)
-    total = _moved(total, 1.0, k4)
+    total = advance_state(k1, 2.0, k2)
+    total = advance_state(total, 2.0, k3)
+    total = advance_state(total, 1.0, k4)
     # One normalisation is enough, as the stages hardly leave the unit sphere
-    position, quaternion, velocity, rates = _moved(state, dt / 6.0, total)
+    position, quaternion, velocity, rates = advance_state(state, dt / 6.0, total)
     return position, normalise_quaternion(quaternion), velocity, rates
 
 

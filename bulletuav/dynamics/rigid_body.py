@@ -6,6 +6,8 @@ below is sampled once a decision. That is exact over level ground; past an edge 
 lags by up to one decision (at 20 m/s and 10 Hz, 2 m of flight).
 """
 
+import numpy as np
+
 from bulletuav.compiled.kernel import func, in_memory, kernel
 from bulletuav.compiled.lanes import WIDTH
 from bulletuav.compiled.program import Program
@@ -24,12 +26,14 @@ from bulletuav.dynamics.blocks import (
     is_steered,
     pack_blocks,
 )
+from bulletuav.dynamics.cables import Cables, group_bodies
 from bulletuav.dynamics.integration import lag_stages, rk4, slope_of, turn_rotors
 from bulletuav.dynamics.steering import pack_steering
+from bulletuav.dynamics.tied import fly_tied, hold_tied
 from bulletuav.geometry.rotation import dot, vec3
 from bulletuav.registry import register
 from bulletuav.vehicle.aerodynamics import num_lifted_rotors
-from bulletuav.vehicle.swarm import DroneArrays, get_state, set_state
+from bulletuav.vehicle.swarm import DroneArrays, Swarm, get_state, set_state
 from bulletuav.vehicle.wakes import LIST_SKIN, sum_wakes
 from bulletuav.vehicle.wrench import MAX_PART_ROTATION, num_spin_steps
 
@@ -65,7 +69,13 @@ def _fly_alone(
 
 @func
 def _mark(
-    drones: DroneArrays, contact: ContactState, blocks: Blocks, first: int, last: int, dt: float
+    drones: DroneArrays,
+    contact: ContactState,
+    blocks: Blocks,
+    tied: np.ndarray,
+    first: int,
+    last: int,
+    dt: float,
 ) -> None:
     """Mark the drones to integrate in blocks, of the worlds from `first` to before `last`."""
     # Read the array addresses once: the compiler must assume that writes could change them
@@ -76,7 +86,7 @@ def _mark(
     for w in range(first, last):
         for i in range(alive.shape[1]):
             rates = vec3(spin, w, i)
-            still = stopped[w, i] | asleep[w, i]
+            still = stopped[w, i] | asleep[w, i] | tied[w, i]
             calm = dot(rates, rates) * dt * dt < CALM * CALM
             # Branches would be slower
             together[drone] = alive[w, i] & calm & (not still) & alike[drone // WIDTH]
@@ -88,15 +98,19 @@ def _mark(
 
 
 @kernel
-def advance_rigid_body(decision: Decision, contact: ContactState, blocks: Blocks) -> None:
+def advance_rigid_body(
+    decision: Decision, contact: ContactState, blocks: Blocks, cables: Cables
+) -> None:
     """Fly all substeps of one decision in all worlds.
 
     Args:
         decision: Inputs of the decision.
         contact: State of the contact solver.
         blocks: Work arrays for a group of worlds.
+        cables: Cables between the bodies.
     """
     decision, contact, blocks = in_memory(decision), in_memory(contact), in_memory(blocks)
+    cables = in_memory(cables)
     drones, setpoints, cascade = decision.drones, decision.setpoints, decision.cascade
     air, step = decision.air, decision.step
     swarm, alive, parameters = drones.swarm, drones.alive, drones.parameters
@@ -114,7 +128,7 @@ def advance_rigid_body(decision: Decision, contact: ContactState, blocks: Blocks
             pack_blocks(blocks, air, first * num_drones)
             pack_steering(blocks.steering, setpoints, first * num_drones)
         for substep in range(step.substeps):
-            _mark(drones, contact, blocks, first, last, dt)
+            _mark(drones, contact, blocks, cables.is_tied, first, last, dt)
             # Wakes and commands of all drones are computed before any drone moves
             if num_drones > 1:
                 sum_wakes(swarm, alive, parameters, first, last, substep > 0, leeway, blocks.wakes)
@@ -124,7 +138,7 @@ def advance_rigid_body(decision: Decision, contact: ContactState, blocks: Blocks
                     if alive[w, i] and not contact.stopped[w, i]:
                         drone = (w - first) * num_drones + i
                         command = blocks.command[w - first, i]
-                        if not is_steered(blocks, drone):
+                        if not is_steered(blocks, drone) and parameters[w, i].num_rotors > 0:
                             command_rotors(
                                 cascade, setpoints, swarm, w, i, dt, air.gravity, command
                             )
@@ -135,12 +149,17 @@ def advance_rigid_body(decision: Decision, contact: ContactState, blocks: Blocks
                     fly_block(blocks, first * num_drones, b, air.gravity, dt)
             for w in range(first, last):
                 for i in range(num_drones):
-                    moved = blocks.together[(w - first) * num_drones + i]
+                    moved = blocks.together[(w - first) * num_drones + i] or cables.is_tied[w, i]
                     if alive[w, i] and not contact.stopped[w, i] and not moved:
                         _fly_alone(decision, contact, blocks, first, w, i)
 
+                if cables.num_groups[w] > 0:
+                    fly_tied(decision, blocks, cables, contact, w, first)
+
             for w in range(first, last):
-                step_contacts(contact, drones, w, substep, step)
+                hit = step_contacts(contact, drones, w, substep, step)
+                if hit and cables.num_groups[w] > 0:
+                    hold_tied(decision, cables, contact, w)
 
 
 @register("dynamics")
@@ -156,11 +175,15 @@ class RigidBody(Dynamics):
     feels_mass = True
     feels_inertia = True
     feels_gravity = True
+    feels_cables = True
     contacts = ("impulse", "stop")
     sleeps = True
 
+    def restore(self, swarm: Swarm, mask: np.ndarray) -> None:
+        """Find the groups of bodies that the restored cables connect; see the base class."""
+        group_bodies(self.cables)
+
     def add_flight(self, program: Program, decision: Decision) -> None:
         """Add all substeps as one compiled call; see the base class."""
-        program.call(
-            advance_rigid_body, decision, self.contact, Blocks.of(decision.drones, decision.cascade)
-        )
+        blocks = Blocks.of(decision.drones, decision.cascade)
+        program.call(advance_rigid_body, decision, self.contact, blocks, self.cables)

@@ -18,6 +18,7 @@ FLOOR = 0.02
 FLOOR_HALF_EDGE = 20_000.0
 """Half the edge length of the visual ground, m"""
 FLOOR_COLOUR = (0.86, 0.88, 0.85, 1)
+LOAD_COLOUR = (0.72, 0.53, 0.30, 1)
 CITY_COLOUR = (0.72, 0.70, 0.67, 1)
 SIDES = 48
 """Number of sides of a visual cylinder"""
@@ -110,6 +111,18 @@ def make_solids(client: int, shape: Shape, colour: Colour, poses: Iterable[Pose]
     collision = _collision_shape(client, shape)
     visual = _visual_shape(client, shape, colour)
     return [_make_still(client, collision, SURFACE_GROUP, visual, *pose) for pose in poses]
+
+
+def make_load_body(client: int, shape: Shape, mass: float, place: Iterable[float]) -> Body:
+    """Create the body of a load at a position (3,) in Bullet's frame, m."""
+    body: Body = bullet.createMultiBody(
+        mass,
+        _collision_shape(client, shape),
+        _visual_shape(client, shape, LOAD_COLOUR),
+        list(place),
+        physicsClientId=client,
+    )
+    return body
 
 
 def _collision_shape(client: int, shape: Shape) -> ShapeNumber:

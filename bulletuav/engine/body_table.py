@@ -97,7 +97,7 @@ class BodyTable:
         with drawn_files(airframes) as files:
             drones = [
                 [
-                    make_drone(client, airframe, files[airframe.urdf], parking[w, i])
+                    make_drone(client, airframe, files.get(airframe.urdf), parking[w, i])
                     for i, airframe in enumerate(airframes)
                 ]
                 for w in range(len(offset))

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from bulletuav.engine.bodies import Body, cylinder_triangles, rims
+from bulletuav.engine.bodies import Body, cylinder_triangles, make_load_body, rims
 from bulletuav.engine.calls import HAS_BULLET, bullet
 from bulletuav.engine.client import disconnect, open_client
 from bulletuav.engine.silence import silenced
@@ -37,7 +37,7 @@ def drawn_files(airframes: Iterable[Airframe]) -> Iterator[dict[Path, Path]]:
     Yields:
         The file to load for each URDF. URDFs that refer to mesh files are loaded unchanged.
     """
-    files = {airframe.urdf: airframe.urdf for airframe in airframes}
+    files = {airframe.urdf: airframe.urdf for airframe in airframes if not airframe.is_load}
     with contextlib.ExitStack() as stack:
         try:
             folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
@@ -52,13 +52,13 @@ def drawn_files(airframes: Iterable[Airframe]) -> Iterator[dict[Path, Path]]:
         yield files
 
 
-def make_drone(client: int, airframe: Airframe, file: Path, place: np.ndarray) -> Body:
+def make_drone(client: int, airframe: Airframe, file: Path | None, place: np.ndarray) -> Body:
     """Create the body of a drone.
 
     Args:
         client: Id of the client in Bullet.
         airframe: Shape, mass and inertia of the drone.
-        file: File to load, from `drawn_files`.
+        file: File to load, from `drawn_files`; None for a load.
         place: (3,) position in Bullet's frame, m.
 
     Returns:
@@ -67,7 +67,11 @@ def make_drone(client: int, airframe: Airframe, file: Path, place: np.ndarray) -
     Raises:
         ValueError: If Bullet cannot load the airframe's URDF.
     """
-    body = _load(client, airframe.urdf, file, place.tolist())
+    if airframe.is_load:
+        body = make_load_body(client, airframe.shape, airframe.mass, place.tolist())
+    else:
+        assert file is not None, "from drawn_files"
+        body = _load(client, airframe.urdf, file, place.tolist())
     # By default Bullet damps velocities by 4 % a second and clamps them at 100. Mass and inertia
     # are set explicitly, as Bullet may round or scale those of the file.
     bullet.changeDynamics(
@@ -102,7 +106,8 @@ def require_loadable(airframes: Iterable[Airframe]) -> None:
 
     The drones themselves may be created much later, or never, as without PyBullet.
     """
-    for urdf in {airframe.urdf for airframe in airframes} if HAS_BULLET else ():
+    files = {airframe.urdf for airframe in airframes if not airframe.is_load}
+    for urdf in files if HAS_BULLET else ():
         _try_once(urdf, urdf.read_bytes())
 
 

@@ -30,6 +30,7 @@ from bulletuav.envs.airspace_inputs import (
 from bulletuav.envs.airspace_simulation import AirspaceSimulation
 from bulletuav.envs.airspace_world import ALL, AirspaceWorld
 from bulletuav.envs.bodies import Body, Motion, check_velocities, set_body
+from bulletuav.envs.cables import attach, check_ends, detach, list_ends
 from bulletuav.envs.conditions import Condition, apply_condition, check_condition
 from bulletuav.envs.descriptions import describe_parts, faces_of
 from bulletuav.envs.environment import Environment, exclusive, in_plain_python
@@ -55,6 +56,7 @@ UP, NORTH = np.array((0.0, 0.0, 1.0)), np.array((0.0, 1.0, 0.0))
 CHANGES = (
     *("step", "place", "command", "apply", "set_condition", "set_wind"),
     *("place_obstacle", "add_body", "move_body", "remove_body", "load_state"),
+    *("attach_cable", "detach_cable"),
 )
 """Methods of an `Airspace` that change its state"""
 ONLY = np.zeros(1, dtype=int)
@@ -348,6 +350,66 @@ class Airspace(Environment):
         self.world.remove_body(b)
 
     @exclusive
+    def attach_cable(
+        self,
+        body: int,
+        other: int | None,
+        length: float | None = None,
+        *,
+        point: Sequence[float] = STILL,
+        other_point: Sequence[float] = STILL,
+    ) -> int:
+        """Attach a cable between two drones or loads, or from one to a fixed point in the world.
+
+        The cable is massless and inextensible, pulls only, and has no shape: it passes through
+        bodies. It needs dynamics "rigid_body". See `bulletuav.vehicle.load.make_load` for loads,
+        and `cable_tension` for the tensions.
+
+        Args:
+            body: Index of a drone or load.
+            other: Index of another, or None for a fixed point.
+            length: Length, m. None for the present distance of the ends.
+            point: (3,) end at `body`, in its axes from its centre of mass, m.
+            other_point: (3,) end at `other`, in its axes, or in the world if `other` is None, m.
+
+        Returns:
+            Index of the cable.
+
+        Raises:
+            ValueError: If there is no such body, a number is invalid, the length is less than the
+                distance of the ends, or the dynamics has no cables; the state is unchanged.
+        """
+        self._require_open()
+        world = self.world
+        ends = check_ends(world.dynamics, body, other, point, other_point)
+        cable = attach(world.dynamics, world.state.swarm, ends, length)
+        self.simulation.program = None
+        return cable
+
+    @exclusive
+    def detach_cable(self, cable: int) -> None:
+        """Detach a cable from both ends.
+
+        Args:
+            cable: Index that `attach_cable` returned, and that a later cable may get.
+
+        Raises:
+            ValueError: If there is no such cable.
+        """
+        self._require_open()
+        detach(self.world.dynamics, cable)
+
+    @property
+    def cable_tension(self) -> np.ndarray:
+        """(C,) mean tension of each cable in the last substep, N; a copy.
+
+        A cable that becomes taut with a jerk adds its impulse, divided by the duration of the
+        substep.
+        """
+        tension: np.ndarray = self.world.dynamics.cables.tension[0].copy()
+        return tension
+
+    @exclusive
     def command(
         self,
         drones: Drones,
@@ -589,7 +651,8 @@ class Airspace(Environment):
         """Restore a state that was saved here, or in an airspace made from the same options.
 
         Obstacles and bodies return to their saved poses. The same bodies have to be added, in the
-        same order; the function of time that a body follows is not saved.
+        same order, and as many cables attached; which of them were detached is saved. The
+        function of time that a body follows is not saved.
 
         Args:
             snapshot: Result of `save_state`.
@@ -626,7 +689,7 @@ class Airspace(Environment):
 
     @exclusive
     def render(self) -> np.ndarray:
-        """Render the world from outside, with rings on drones, velocity arrows and lidar beams.
+        """Render the world from outside, with rings, velocity arrows, lidar beams and cables.
 
         Returns:
             (height, width, 3) uint8.
@@ -634,6 +697,7 @@ class Airspace(Environment):
         self._require_open()
         world, shown = self.world, (self.world.state.swarm, self.world.state.alive)
         marks = drone_marks(*shown, 0, world.sensors.sensors.values())
+        marks = marks._replace(cable=list_ends(world.dynamics.cables, world.state.swarm))
         return world.renderer.picture(0, shown[0], marks, shown[1])
 
     @exclusive

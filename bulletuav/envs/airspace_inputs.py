@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from bulletuav.control.setpoint import SetpointLevel
-from bulletuav.dynamics import default_dynamics
+from bulletuav.dynamics import default_dynamics, find_dynamics
 from bulletuav.dynamics.divergence import FASTEST, FASTEST_SPIN
 from bulletuav.dynamics.setpoints import CONVERTED
 from bulletuav.engine.parking import PARKING_HEIGHT
@@ -113,6 +113,12 @@ def airspace_options(
         values["dynamics"] = default_dynamics(values.get("contacts"))
     make_tuples(values)
     values["airframe"] = load_airframes(airframe, len(places))
+    dynamics = find_dynamics(values["dynamics"])
+    if any(one.is_load for one in values["airframe"]) and not dynamics.feels_cables:
+        raise ValueError(
+            f"dynamics {dynamics.name!r} moves drones only, and there is a load: use dynamics "
+            f"'rigid_body'"
+        )
     values.setdefault("max_speed", min(one.max_speed for one in values["airframe"]))
     listed = sensors if isinstance(sensors, list | tuple) else (sensors,)
     all_sensors = known_sensors(one for one in listed if not isinstance(one, str))

@@ -8,10 +8,12 @@ from bulletuav.compiled.kernel import kernel
 from bulletuav.contact.contacts import find_overlaps, replace_scenery
 from bulletuav.contact.time_of_impact import CONTACT_DISTANCE
 from bulletuav.control.setpoint import SetpointLevel, Setpoints
+from bulletuav.dynamics.cables import cable_bounds
 from bulletuav.dynamics.setpoints import convert
 from bulletuav.engine.parking import PARKING_HEIGHT
 from bulletuav.envs.airspace_inputs import UPRIGHT, YAW
 from bulletuav.envs.bodies import Motion, follow_motion, park_body, set_body
+from bulletuav.envs.cables import loosen
 from bulletuav.envs.options import EnvOptions
 from bulletuav.envs.parts import BODY_BOUNDS, CONDITION_BOUNDS, Parts, sensor_setup
 from bulletuav.envs.snapshot import Bounds, contact_bounds, state_bounds
@@ -142,7 +144,8 @@ class AirspaceWorld(Parts):
             given: States of the drones, in the order of `Swarm`.
 
         Raises:
-            ValueError: If drones would overlap each other or the scene; the state is unchanged.
+            ValueError: If drones would overlap each other or the scene, or a cable would be too
+                short; the state is unchanged.
         """
         swarm, before, dynamics = self.state.swarm, self.state.before, self.dynamics
         after = swarm.copy()
@@ -153,6 +156,7 @@ class AirspaceWorld(Parts):
         moved = np.zeros_like(self.state.alive)
         moved[0, rows] = True
         self.require_free(after, moved, self.engine.scenery)
+        loosen(dynamics, after, moved)
         for array, numbers in zip(swarm, after, strict=True):
             array[:] = numbers
         self.cascade.memory[moved] = 0.0
@@ -239,6 +243,7 @@ class AirspaceWorld(Parts):
             "parameters": self.parameters,
             "controller": self.cascade.memory,
             **self.body_arrays(),
+            **self.dynamics.cables.kept(),
         }
 
     def last_arrays(self) -> dict[str, np.ndarray]:
@@ -261,6 +266,7 @@ class AirspaceWorld(Parts):
             **CONDITION_BOUNDS,
             **contact_bounds(self.engine.scenery),
             **BODY_BOUNDS,
+            **cable_bounds(self.options.num_drones),
         }
 
 

@@ -32,6 +32,8 @@ LINK: Colour = (40, 90, 200)
 """Colour of lines from drones to the targets that they serve"""
 BEAM: Colour = (250, 150, 0)
 """Colour of range finder beams with a hit"""
+CABLE: Colour = (90, 60, 30)
+"""Colour of cables"""
 MISS: Colour = (250, 215, 140)
 """Colour of beams without a hit"""
 RING_RADIUS, CROSS_RADIUS, DOT_RADIUS, HIT_RADIUS = 7, 5, 2, 2
@@ -61,6 +63,7 @@ class Marks(NamedTuple):
         link: (L, 2, 3) from drones to the targets that they serve.
         beam: (B, 2, 3) from drones to the ends of range finder beams.
         hit: (B,) bool, beams with a hit.
+        cable: (C, 2, 3) ends of cables.
     """
 
     drone: np.ndarray
@@ -72,6 +75,7 @@ class Marks(NamedTuple):
     link: np.ndarray = NO_LINES
     beam: np.ndarray = NO_LINES
     hit: np.ndarray = NONE
+    cable: np.ndarray = NO_LINES
 
 
 def drone_marks(swarm: Swarm, flown: np.ndarray, world: int, sensors: Iterable[Sensor]) -> Marks:
@@ -189,6 +193,7 @@ def draw(marks: Marks, lens: Lens, pen: "ImageDraw.ImageDraw") -> None:
     lens.draw_lines(pen, marks.beam[~marks.hit], MISS)
     lens.draw_lines(pen, marks.beam[marks.hit], BEAM)
     lens.draw_lines(pen, marks.link, LINK)
+    lens.draw_lines(pen, marks.cable, CABLE)
     lens.draw_lines(pen, marks.to_goal, GOAL)
     _draw_dots(pen, lens.project(marks.beam[marks.hit, 1])[0], HIT_RADIUS, BEAM)
     _draw_dots(pen, lens.project(marks.target[~marks.seen])[0], DOT_RADIUS, UNSEEN)
@@ -215,6 +220,7 @@ def _draw_legend(pen: "ImageDraw.ImageDraw", marks: Marks, height: int) -> None:
         (marks.target[marks.seen], SEEN, "target in sight"),
         (marks.target[~marks.seen], UNSEEN, "target out of sight"),
         (marks.link, LINK, "drone serves or sees target"),
+        (marks.cable, CABLE, "cable"),
         (marks.beam[marks.hit], BEAM, "range measured"),
         (marks.beam[~marks.hit], MISS, "nothing in range"),
     )

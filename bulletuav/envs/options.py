@@ -392,6 +392,8 @@ class EnvOptions:
                 stacklevel=2,
             )
         for airframe in self.airframe:
+            if airframe.is_load:
+                continue
             if airframe.max_thrust <= airframe.mass * self.gravity:
                 raise ValueError(
                     f"gravity is {self.gravity:g} m/s^2: airframe {airframe.name!r} lifts at most "

@@ -115,6 +115,7 @@ class Parts(ABC):
         # Sensors may replace arrays, readings add some, and bodies change the bounds
         varying: list[object] = [*self.sensors.kept().values(), *self.dynamics.kept().values()]
         varying += [*self.readings.values(), self.engine.scenery]
+        varying += self.dynamics.cables.kept().values()
         known = self._varying
         is_known = len(known) == len(varying) and all(map(operator.is_, known, varying))
         if self._layout is None or not is_known:
@@ -225,7 +226,9 @@ def add_obstacles(program: Program, engine: Engine, obstacle: np.ndarray) -> Non
 
 def hover_speeds(options: EnvOptions) -> np.ndarray:
     """Return the rotor speeds (N, R) at which drones hover, rad/s; 0 for missing rotors."""
-    speeds = np.zeros((options.num_drones, max(len(one.rotors) for one in options.airframe)))
+    # At least one column, as arrays of the airspace of a load alone could not be reshaped
+    rotors = max(1, *(len(one.rotors) for one in options.airframe))
+    speeds = np.zeros((options.num_drones, rotors))
     for row, airframe in zip(speeds, options.airframe, strict=True):
         row[: len(airframe.rotors)] = airframe.hover_speed(options.gravity)
     return speeds

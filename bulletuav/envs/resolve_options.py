@@ -206,6 +206,8 @@ def _load_airframes(values: dict[str, Any], given: Mapping[str, Any]) -> None:
     if not several:
         as_int("num_drones", values["num_drones"], 1, MAX_DRONES)
     values["airframe"] = load_airframes(values["airframe"], values["num_drones"])
+    if any(one.is_load for one in values["airframe"]):
+        raise ValueError("airframe is a load, without rotors: only an Airspace has loads")
     if several and "num_drones" not in given:
         values["num_drones"] = len(values["airframe"])
     if "max_speed" not in given:

@@ -52,13 +52,16 @@ DENSITY = 1.225
 
 
 def hover_speed(weight: float, num_rotors: int, thrust_coefficient: float) -> float:
-    """Compute the rotor speed w at which the thrust n k_f w^2 equals a weight (N), rad/s."""
-    return math.sqrt(weight / (num_rotors * thrust_coefficient))
+    """Compute the rotor speed w at which the thrust n k_f w^2 equals a weight (N), rad/s.
+
+    It is 0 without rotors.
+    """
+    return math.sqrt(weight / (num_rotors * thrust_coefficient)) if num_rotors else 0.0
 
 
 def arm_length(rotors: tuple[tuple[float, float, int], ...]) -> float:
-    """Compute the distance of the outermost rotor from the centre of mass, m."""
-    return max(math.sqrt(x * x + y * y) for x, y, _ in rotors)
+    """Compute the distance of the outermost rotor from the centre of mass, m; 0 without rotors."""
+    return max((math.sqrt(x * x + y * y) for x, y, _ in rotors), default=0.0)
 
 
 @dataclass(frozen=True)
@@ -185,13 +188,19 @@ class Airframe:
                     other = _WITHOUT.get(name)
                     remedy = f"; for none, set {other} to 0" if other else ""
                     raise ValueError(f"{name} {of} is 0: a number above 0 is needed{remedy}")
-        as_int(f"number of rotors {of}", len(self.rotors), MIN_ROTORS, MAX_ROTORS)
+        if not self.is_load:
+            as_int(f"number of rotors {of}", len(self.rotors), MIN_ROTORS, MAX_ROTORS)
         for rotor in self.rotors:
             x, y, turn = as_sequence(f"a rotor {of}", rotor, 3)
             finite(f"x of a rotor {of}", x)
             finite(f"y of a rotor {of}", y)
             if turn not in (-1, 1):
                 raise ValueError(f"turn of a rotor {of} is {shown(turn)}: 1 or -1 is needed")
+
+    @property
+    def is_load(self) -> bool:
+        """Whether it has no rotors, as what drones carry on cables; see `vehicle.load.Load`."""
+        return False
 
     @property
     def collision_radius(self) -> float:

@@ -202,7 +202,8 @@ def parameter_rows(
             row["body_drag_z"] = 0.5 * DENSITY * airframe.body_drag[1]
         if "damping" in effects:
             total_speed = len(airframe.rotors) * airframe.hover_speed()
-            row["damping"] = np.array(airframe.damping) * airframe.inertia / total_speed
+            if total_speed > 0.0:
+                row["damping"] = np.array(airframe.damping) * airframe.inertia / total_speed
         if "rotor_inertia" in effects:
             row["rotor_inertia"] = airframe.rotor_inertia
         if "ground_effect" in effects:

@@ -13,6 +13,8 @@ Colour = tuple[float, float, float, float]
 IDENTITY_QUATERNION = (0.0, 0.0, 0.0, 1.0)
 DEFAULT_COLOUR: Colour = (0.45, 0.47, 0.5, 1.0)
 """Colour of shapes without a colour in the file"""
+LOAD_COLOUR: Colour = (0.72, 0.53, 0.30, 1.0)
+"""Colour of loads"""
 
 
 class VisualShape(NamedTuple):
@@ -40,6 +42,8 @@ def read_visual_shapes(airframe: Airframe) -> list[VisualShape]:
     Returns:
         The visual shapes; the collision shape if there are none.
     """
+    if airframe.is_load:
+        return [collision_part(airframe, LOAD_COLOUR)]
     urdf = UrdfFile(airframe.urdf)
     colours = {
         material.get("name"): _colour(color.get("rgba", ""))

@@ -194,7 +194,8 @@ def _load_lane(
     y = position[w, above, 1] - position[w, below, 1]
     drop = position[w, above, 2] - position[w, below, 2]
     square = x * x + y * y
-    if not is_in_wake(square, drop, row):
+    # The fit of the wake is for drones: loads feel none
+    if not is_in_wake(square, drop, row) or parameters[w, below].num_rotors == 0:
         return False
     thrust = rotor_wrench(rotor_speed[w, above], 0.0, row)[0]
     arm = parameters[w, below].arm
