@@ -157,6 +157,7 @@ def mine(tmp_path, monkeypatch):
     info.mkdir()
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: mine\nVersion: 1.0\n")
     (info / "entry_points.txt").write_text("[bulletuav.metric]\nlowest = mine:low\n")
+    registry.names("metric")  # modules register their metrics only once
     table = dict(registry._registered["metric"])
     monkeypatch.setitem(registry._registered, "metric", table)
     monkeypatch.setattr(registry, "_loaded", registry._loaded - {"metric"})

@@ -55,11 +55,17 @@ def test_increments_lead_where_velocities_do(name):
 def test_every_policy_says_what_it_reads():
     specs = [find_policy(name) for name in registry.names("policy")]
     observed = {f"{name}_observed" for name in ("straight", "orca", "mvp", "voronoi")}
+    flocks = {"reynolds", "olfati_saber", "vasarhelyi"}
+    shirkers = {"hover", "clump", "scatter", "unseeing", "half"}
     assert {spec.name for spec in specs if not spec.reads_swarm} == {
         "random",
         "over_roofs",
         "lidar_hop",
         "street_pilot",
+        "pad_seeker",
+        "pad_blind",
+        *flocks,
+        *(f"flock_{name}" for name in shirkers),
         *observed,
     }
     assert find_policy("straight").reads_swarm

@@ -141,6 +141,9 @@ SHOWN_MEMORY = {
     "next_gates": "gate_axis",
     "gate_aim": "gate_axis",
     "rank": "rank",
+    "pads": "pad_drone",
+    "pad_clue": "clue",
+    "claimed_pads": "claimed",
 }
 """Blocks that show what some tasks alone remember, and the name of that"""
 SHOWN_TARGETS = ("centroids", "contribution_ahead", "seen_share", "sight", "sight_ahead")
