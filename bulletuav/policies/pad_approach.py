@@ -76,7 +76,7 @@ def approach_pads(position: np.ndarray, target: PadTarget) -> np.ndarray:
     return velocity
 
 
-def assign_pads(position: np.ndarray, pads: np.ndarray) -> np.ndarray:
+def match_pads(position: np.ndarray, pads: np.ndarray) -> np.ndarray:
     """Return a pad for each drone: the nearest pair of drone and pad first, then the next.
 
     Args:

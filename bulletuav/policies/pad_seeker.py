@@ -8,7 +8,7 @@ from bulletuav.control.actions import limit_norm
 from bulletuav.envs.aviary import Aviary
 from bulletuav.geometry.rotation import axes, from_euler, heading, product
 from bulletuav.policies.base import Policy, require_supported_task
-from bulletuav.policies.pad_approach import LEAD, PadTarget, approach_pads, assign_pads, keep_apart
+from bulletuav.policies.pad_approach import LEAD, PadTarget, approach_pads, keep_apart, match_pads
 from bulletuav.policies.pad_vision import PadTracks, find_pads, picture_rays
 from bulletuav.registry import register
 from bulletuav.sensors.camera import Camera
@@ -169,7 +169,7 @@ class PadSeeker(Policy):
         chosen = -1
         if free.any():
             drones = np.concatenate([sight.place[None], sight.others])
-            chosen = int(assign_pads(drones, place[free])[0])
+            chosen = int(match_pads(drones, place[free])[0])
         if chosen < 0:
             wanted = self._wander(w, i, sight)
         else:

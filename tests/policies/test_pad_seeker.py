@@ -5,7 +5,7 @@ import pytest
 
 import bulletuav
 from bulletuav.policies import find_policy
-from bulletuav.policies.pad_approach import assign_pads
+from bulletuav.policies.pad_approach import match_pads
 from bulletuav.policies.pad_vision import PadTracks, find_pads, picture_rays
 
 
@@ -67,7 +67,7 @@ def test_tracks_of_pads_that_circle_predict_them():
 def test_the_nearest_pairs_of_drones_and_pads_come_first():
     drones = np.array([(0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (9.0, 0.0, 0.0)])
     pads = np.array([(2.0, 0.0, 0.0), (-3.0, 0.0, 0.0)])
-    assert assign_pads(drones, pads).tolist() == [1, 0, -1]
+    assert match_pads(drones, pads).tolist() == [1, 0, -1]
 
 
 def test_the_seeker_lands_and_the_blind_one_does_not():

@@ -141,6 +141,7 @@ SHOWN_MEMORY = {
     "next_gates": "gate_axis",
     "gate_aim": "gate_axis",
     "rank": "rank",
+    "idleness": "idleness",
     "pads": "pad_drone",
     "pad_clue": "clue",
     "claimed_pads": "claimed",

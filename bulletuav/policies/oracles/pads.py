@@ -5,7 +5,7 @@ import numpy as np
 from bulletuav.control.actions import limit_norm
 from bulletuav.envs.aviary import Aviary
 from bulletuav.policies.base import Policy, require_supported_task
-from bulletuav.policies.pad_approach import LEAD, PadTarget, approach_pads, assign_pads, keep_apart
+from bulletuav.policies.pad_approach import LEAD, PadTarget, approach_pads, keep_apart, match_pads
 from bulletuav.registry import register
 from bulletuav.tasks.observations.observer import Observation
 from bulletuav.tasks.pad_landing import PadLanding
@@ -79,5 +79,5 @@ class PadPilot(Policy):
             (M,) indices of unclaimed pads.
         """
         free = np.flatnonzero(self.aviary.scene.memory["claimed"][w] == 0)
-        chosen: np.ndarray = free[assign_pads(position, pads[free])]
+        chosen: np.ndarray = free[match_pads(position, pads[free])]
         return chosen
