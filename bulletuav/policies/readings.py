@@ -18,6 +18,12 @@ BLOCK_CONTENTS: Mapping[str, str] = MappingProxyType(
         "velocity": "its velocity",
         "room": "the ceiling",
         "lidar": "the range finder",
+        "position": "its position",
+        "all_neighbours": "the other drones",
+        "clue_offset": "the offset to the clue",
+        "sighting": "the victim in sight",
+        "victims_found": "the fraction of victims found",
+        "searched_cells": "the ground that is searched",
     }
 )
 """Contents of each block, for messages"""

@@ -79,6 +79,7 @@ CASES = {
         "num_drones": 3,
         "observation": ("velocity", "pad_clue", "lidar", "claimed_pads"),
     },
+    "search": {"difficulty": "extreme", "num_drones": 3, "num_victims": 2, "num_layouts": 2},
 }
 DYNAMICS = ("single_integrator", "point_mass", "rigid_body", "bullet")
 

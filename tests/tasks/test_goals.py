@@ -8,7 +8,7 @@ from bulletuav.analysis.metrics import Meter
 from bulletuav.commands.fly import shown_infos
 from bulletuav.tasks import find_task
 
-WITHOUT = {"coverage", "los", "mec", "mec_advanced", "mobile_users", "patrol"}
+WITHOUT = {"coverage", "los", "mec", "mec_advanced", "mobile_users", "patrol", "search"}
 FAST = {"dynamics": "single_integrator", "num_drones": 2, "action": "velocity"}
 
 

@@ -145,6 +145,10 @@ SHOWN_MEMORY = {
     "pads": "pad_drone",
     "pad_clue": "clue",
     "claimed_pads": "claimed",
+    "clue_offset": "clue",
+    "sighting": "sighting",
+    "victims_found": "known_found",
+    "searched_cells": "known_cells",
 }
 """Blocks that show what some tasks alone remember, and the name of that"""
 SHOWN_TARGETS = ("centroids", "contribution_ahead", "seen_share", "sight", "sight_ahead")

@@ -355,6 +355,48 @@ class CityLayouts(Part):
         place: np.ndarray = cell + rng.uniform(-half, half, (count, 2))
         return place
 
+    def free_ground(self, layout: int) -> np.ndarray:
+        """Return the middles (M, 2) of the raster's cells from which `outdoors` draws, m."""
+        return self._raster[layout]
+
+    def outdoors_around(
+        self,
+        rng: np.random.Generator,
+        layout: int,
+        centre: np.ndarray,
+        distance: tuple[float, float],
+        spacing: float,
+        count: int,
+    ) -> np.ndarray:
+        """Draw positions outdoors at a distance from a centre, at least `spacing` apart.
+
+        Args:
+            rng: Random generator.
+            layout: Index of the city.
+            centre: (2 or 3,) position, m; z is ignored.
+            distance: Minimum and maximum horizontal distance from it, m.
+            spacing: Minimum horizontal distance between the positions, m.
+            count: Number of positions.
+
+        Returns:
+            (count, 2) m; fewer if the others were not found.
+        """
+        low, high = distance
+        half = self._cells[layout] / 2
+        raster = self._raster[layout]
+        gap = np.sqrt(((raster - centre[:2]) ** 2).sum(axis=1))
+        raster = raster[(gap >= low - 2 * half) & (gap <= high + 2 * half)]
+        places: list[np.ndarray] = []
+        for _ in range(MAX_TRIES * count if len(raster) else 0):
+            place = raster[rng.integers(len(raster))] + rng.uniform(-half, half, 2)
+            if not low <= math.dist(place, centre[:2]) <= high:
+                continue
+            if all(math.dist(place, other) >= spacing for other in places):
+                places.append(place)
+                if len(places) == count:
+                    break
+        return np.array(places).reshape(-1, 2)
+
     def raise_above_ground(self, layout: int, places: np.ndarray) -> np.ndarray:
         """Return positions whose z is the given height above the ground of a city.
 
