@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from bulletuav.compiled.functions import power
 from bulletuav.compiled.kernel import allocating
 from bulletuav.control.actions.messages import read_message
 from bulletuav.engine.engine import Engine
@@ -72,7 +73,7 @@ class Jammer:
     @property
     def reach_ratio(self) -> float:
         """Maximum distance of a message over the receiver's distance from the jammer."""
-        return float(10.0 ** (-(self.power + self.min_ratio) / 20.0))
+        return float(power(10.0, -(self.power + self.min_ratio) / 20.0))
 
     def position(self, time: float) -> np.ndarray:
         """Return the position (3,) at a time in s, m."""
@@ -106,7 +107,7 @@ class Channel:
         loss: Probability that a receiver does not get a message.
         delay: Delay, s, rounded up to whole decisions.
         bandwidth: Bits that a drone can send per second. A message has 32 bits for each number, or
-            log2(tokens) for each token. If that is too much, drones send in every k-th decision,
+            log2(tokens), rounded up, for each token. If that is too much, drones send in every k-th decision,
             with the smallest possible k.
         line_of_sight: Whether buildings and obstacles block messages.
         jammer: Source of interference, or a dict of its attributes.
@@ -145,9 +146,9 @@ class Channel:
         object.__setattr__(self, name, value)
 
     @property
-    def message_bits(self) -> float:
+    def message_bits(self) -> int:
         """Bits of a message."""
-        return self.size * (NUMBER_BITS if self.tokens is None else math.log2(self.tokens))
+        return self.size * (NUMBER_BITS if self.tokens is None else (self.tokens - 1).bit_length())
 
     @property
     def observed_size(self) -> int:

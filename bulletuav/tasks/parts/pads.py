@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from bulletuav.compiled.functions import cos, hypot, sin
+from bulletuav.compiled.functions import cos, hypot, sin, tan
 from bulletuav.compiled.kernel import func, kernel
 from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.geometry.rotation import axes, cross, exp_map, minus, plus, quat4, to_body, vec3
@@ -263,9 +263,7 @@ def _is_stable(
     pitched, rolled = abs(to_body(turn, forward)[2]), abs(to_body(turn, left)[2])
     top = to_body(turn, above)[2]
     is_level: bool = (
-        top > 0.0
-        and pitched <= math.sin(MAX_LANDING_TILT)
-        and rolled <= math.tan(MAX_LANDING_TILT) * top
+        top > 0.0 and pitched <= sin(MAX_LANDING_TILT) and rolled <= tan(MAX_LANDING_TILT) * top
     )
     return is_level
 
