@@ -180,8 +180,7 @@ class PatrolReactive(PatrolPolicy):
         squares = self.squares(w, i)
         distance = np.linalg.norm(squares[:, :2], axis=1)
         value = self.idleness(w, i, squares) ** 2 / (distance / CRUISE + EXTRA_TIME)
-        others = self.seen["neighbours"][w, i].reshape(-1, PER_NEIGHBOUR)
-        others = others[others[:, 0] > 0][:, 1:3]
+        others = self.others(w, i)
         if len(others):
             nearest = pairwise_distances(squares[:, :2], others).min(axis=1)
             value = np.where(nearest < distance, 0.5 * value, value)
@@ -189,6 +188,12 @@ class PatrolReactive(PatrolPolicy):
         value = np.where(distance < ARRIVED, 0.0, value)
         chosen: np.ndarray = here + squares[int(value.argmax()), :2]
         return chosen
+
+    def others(self, w: int, i: int) -> np.ndarray:
+        """Return the horizontal offsets (M, 2) of the observed drones, m."""
+        others = self.seen["neighbours"][w, i].reshape(-1, PER_NEIGHBOUR)
+        offset: np.ndarray = others[others[:, 0] > 0][:, 1:3]
+        return offset
 
     def idleness(self, w: int, i: int, squares: np.ndarray) -> np.ndarray:
         """Return the idleness (K,) of the squares by which drones choose, s."""

@@ -38,6 +38,8 @@ MAX_DRAWS = 1000
 MAX_COVERAGE = 0.4
 """Maximum fraction of the start disc that starts, as discs of half their separation, may cover.
 Random placement of discs ends at 0.55"""
+ROOM_FOR_ERRORS = {"spacing": 12.0, "link_range": 18.0}
+"""Wider flocks, for drones whose positions have errors of several metres"""
 OBSTACLE_SPREAD = 5.0
 """Maximum height of obstacles' centres above and below the flock, m"""
 
@@ -138,8 +140,9 @@ class Flocking(GoalFlight[FlockingConfig]):
     A drone flies in the flock if its group has more than half of the drones, the order (norm of the
     mean direction of motion) is at least 0.9, its own motion is correlated with that of its group
     by 0.9, its speed is at least half of the leader's, and its distance from the leader is at most
-    1.3 times the radius of a lattice of all drones with 10 m between neighbours. Without `leader`
-    the last condition is left out, and the goal is the centre of the arena.
+    1.3 times the radius of a lattice of all drones with 10 m between neighbours (hard and extreme
+    12 m, and links of 18 m). Without `leader` the last condition is left out, and the goal is the
+    centre of the arena.
 
     Observation, Box(102) per drone with the defaults, in world axes (east, north, up): position,
     velocity, offset to the leader, the leader's velocity, the 6 nearest active drones and the 6
@@ -236,6 +239,7 @@ class Flocking(GoalFlight[FlockingConfig]):
             "leader_turn": 0.3,
             "num_obstacles": 12,
             "min_in_place": 0.5,
+            **ROOM_FOR_ERRORS,
             **UNCERTAINTY["hard"],
         },
         "extreme": {
@@ -245,9 +249,7 @@ class Flocking(GoalFlight[FlockingConfig]):
             "num_moving": 4,
             "min_in_place": 0.5,
             "horizon": 750,
-            # Room for the errors of positions
-            "spacing": 12.0,
-            "link_range": 18.0,
+            **ROOM_FOR_ERRORS,
             **UNCERTAINTY["extreme"],
         },
     }

@@ -106,7 +106,7 @@ class Patrol(Task[PatrolConfig]):
     its ceiling. Truncated after 600 decisions.
 
     Success: in the second half of the episode, no idleness exceeds max_idleness = 180 s (medium
-    150 s, hard and extreme 120 s), all drones fly at the end, and the drone had no conflict or
+    142 s, hard 115 s, extreme 110 s), all drones fly at the end, and the drone had no conflict or
     collision.
 
     Infos: `idleness`, mean over the squares; `average_idleness`, its mean over the episode, and
@@ -133,16 +133,16 @@ class Patrol(Task[PatrolConfig]):
                 "max_idleness": limit,
             }
             for name, pads, limit in (
-                ("medium", 3, 150.0),
-                ("hard", 4, 120.0),
-                ("extreme", 4, 120.0),
+                ("medium", 3, 142.0),
+                ("hard", 4, 115.0),
+                ("extreme", 4, 110.0),
             )
         },
     }
     has_goals = False
     places = ("start",)
     baseline = "patrol_reactive"
-    oracle = "patrol_cyclic"
+    oracle = "patrol_oracle"
     shirkers = (
         "patrol_rest",
         "patrol_reckless",

@@ -149,7 +149,7 @@ def test_policies_need_pads():
     other.close()
 
 
-@pytest.mark.parametrize("name", ["patrol_reactive", "patrol_cyclic"])
+@pytest.mark.parametrize("name", ["patrol_reactive", "patrol_cyclic", "patrol_oracle"])
 def test_drones_patrol_and_charge(name):
     with contextlib.closing(aviary_of(battery_capacity=1.2)) as aviary:
         policy = find_policy(name, "patrol")(aviary)
@@ -164,6 +164,25 @@ def test_drones_patrol_and_charge(name):
         assert aviary.alive.all()
         assert aviary.scene.memory["violations"].max() == 0
         assert aviary.scene.memory["idleness"].max() < 80.0
+
+
+def test_the_oracle_leaves_squares_and_pads_to_drones_that_fly_to_them():
+    with contextlib.closing(aviary_of()) as aviary:
+        policy = find_policy("patrol_oracle", "patrol")(aviary)
+        policy.reset(np.ones(1, dtype=bool))
+        policy.act(aviary.observations(), aviary.swarm)
+        here = aviary.swarm.position[0]
+        policy._mode[0], policy._square[0, 1] = [1, 0], [30.0, 40.0]
+        np.testing.assert_allclose(policy.others(0, 0), [[30.0, 40.0] - here[0, :2]])
+        assert policy.others(0, 1).size == 0  # the other one charges
+        assert len(policy.squares(0, 0)) == aviary.task.active_targets(aviary.scene)[0].sum()
+        pads = policy._pads(0, 0)
+        assert not pads[:, 3].any()
+        policy._mode[0, 1] = 1
+        policy._target[0, 1] = here[0] + pads[0, :3]
+        np.testing.assert_array_equal(policy._pads(0, 0)[:, 3], [1.0] + [0.0] * (len(pads) - 1))
+        policy._target[0, 1, 2] = policy.height[1]  # waits above it
+        assert not policy._pads(0, 0)[:, 3].any()
 
 
 def test_those_that_never_charge_fall_down_in_the_end():
