@@ -107,8 +107,8 @@ class Channel:
         loss: Probability that a receiver does not get a message.
         delay: Delay, s, rounded up to whole decisions.
         bandwidth: Bits that a drone can send per second. A message has 32 bits for each number, or
-            log2(tokens), rounded up, for each token. If that is too much, drones send in every k-th decision,
-            with the smallest possible k.
+            log2(tokens), rounded up, for each token. If that is too much, drones send in every k-th
+            decision, with the smallest possible k.
         line_of_sight: Whether buildings and obstacles block messages.
         jammer: Source of interference, or a dict of its attributes.
     """

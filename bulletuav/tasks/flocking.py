@@ -132,22 +132,19 @@ def lattice_radius(drones: int, spacing: float) -> float:
 class Flocking(GoalFlight[FlockingConfig]):
     """Drones gather to a flock and fly together behind a virtual leader, without places of own.
 
-    The leader is not a drone but a point that flies level at 6 m/s on a random course, and turns
-    back 100 m from the origin. Drones start at random in a disc around the origin, 40 m from the
-    leader, with random velocities. The arena grows with their number. Drones within 15 m are
-    linked; a group is a set of linked drones.
+    The leader is a point that flies level at 6 m/s on a random course, and turns back 100 m from
+    the origin. Drones start in a disc around the origin, 40 m from the leader, with random
+    velocities. Drones within 15 m are linked; a group is a set of linked drones.
 
     A drone flies in the flock if its group has more than half of the drones, the order (norm of the
     mean direction of motion) is at least 0.9, its own motion is correlated with that of its group
     by 0.9, its speed is at least half of the leader's, and its distance from the leader is at most
     1.3 times the radius of a lattice of all drones with 10 m between neighbours (hard and extreme
-    12 m, and links of 18 m). Without `leader` the last condition is left out, and the goal is the
-    centre of the arena.
+    12 m, and links of 18 m). Without `leader` the last condition is left out.
 
     Observation, Box(102) per drone with the defaults, in world axes (east, north, up): position,
-    velocity, offset to the leader, the leader's velocity, the 6 nearest active drones and the 6
-    nearest obstacles. Drones and obstacles are relative to the drone, sorted by distance, and
-    padded with zeros.
+    velocity, offset to the leader, the leader's velocity, the 6 nearest active drones and obstacles
+    (relative, sorted by distance, and padded with zeros).
 
     Action, by default `velocity`, Box(3) per drone in [-1, 1]: commanded velocity divided by
     max_speed = 20 m/s. Its norm is limited to max_speed. There are 10 decisions a second.

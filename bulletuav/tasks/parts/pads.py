@@ -1,6 +1,5 @@
 """Landing pads: discs that may move and rock, each of which one drone may claim by landing."""
 
-import math
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
