@@ -252,6 +252,7 @@ class EnvSpec:
         return dataclasses.replace(
             sensor_setup(self.options, self.num_worlds, wanted),
             num_targets=self.task.num_targets,
+            target_radius=self.task.target_radius,
             arena=(self.task.arena_low, self.task.arena_high),
         )
 

@@ -74,6 +74,10 @@ class Randomization:
     - camera_edge_dropout: probability that a pixel at an edge has no depth.
     - camera_fov: vertical field of view of the drones' cameras, degrees; 90 by default.
     - camera_delay: delay of pictures, s; rounded to decisions.
+    - detector_range: range of the detector of targets, m; 100 by default.
+    - detector_fov: its field of view around the nose, degrees; 360 by default, all around.
+    - detector_noise: standard deviation of a detection, as a fraction of its distance.
+    - detector_dropout: probability that a drone detects nothing in a decision.
     - accelerometer_noise, gyroscope_noise: standard deviation of each axis, m/s^2, rad/s.
     - accelerometer_walk, gyroscope_walk: random walk of their biases after one second.
 

@@ -97,6 +97,7 @@ class SensorSetup:
         camera_mounts: Mount of each drone's camera, or mounts of its cameras.
         num_neighbours: Number of other drones that are observed.
         num_targets: Number of targets of the task, U.
+        target_radius: Radius of the bodies around the targets, m; 0 for points.
         arena: Lower and upper corner (3,) of the arena, m.
         wanted: Readings that are observed or required by the task.
         longest_delay: Maximum delay of messages between drones, s.
@@ -118,6 +119,7 @@ class SensorSetup:
     camera_mounts: Mounts = FORWARD
     num_neighbours: int = 3
     num_targets: int = 0
+    target_radius: float = 0.0
     arena: tuple[np.ndarray, np.ndarray] = (np.full(3, -1e3), np.full(3, 1e3))
     wanted: frozenset[str] = frozenset()
     longest_delay: float = 0.0

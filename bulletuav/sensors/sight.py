@@ -1,5 +1,6 @@
 """Line of sight to targets, and clearance to the nearest object."""
 
+import math
 from collections.abc import Mapping
 
 import numpy as np
@@ -41,11 +42,15 @@ def _list_rays(
     position: np.ndarray,
     targets: np.ndarray,
     mask: np.ndarray,
+    inset: float,
     start: np.ndarray,
     end: np.ndarray,
     where: np.ndarray,
 ) -> None:
-    """Write rays from drones (W, N) to targets (W, U, 3), ordered as in `line_of_sight`."""
+    """Write rays from drones (W, N) to targets (W, U, 3), ordered as in `line_of_sight`.
+
+    Rays end `inset` before the targets, m.
+    """
     m = 0
     for w in range(mask.shape[0]):
         for i in range(mask.shape[1]):
@@ -59,12 +64,31 @@ def _list_rays(
                 for k in range(3):
                     start[m, k] = targets[w, j, k] if order > 0.0 else position[w, i, k]
                     end[m, k] = position[w, i, k] if order > 0.0 else targets[w, j, k]
+                if inset > 0.0:
+                    square = 0.0
+                    for k in range(3):
+                        square += (targets[w, j, k] - position[w, i, k]) ** 2
+                    left = max(1.0 - inset / max(math.sqrt(square), inset), 0.0)
+                    for k in range(3):
+                        last = position[w, i, k] + left * (targets[w, j, k] - position[w, i, k])
+                        if order > 0.0:
+                            start[m, k] = last
+                        else:
+                            end[m, k] = last
                 where[m] = w
                 m += 1
 
 
+BODY_MARGIN = 0.01
+"""Distance beyond the radius of a target's body at which lines of sight end, m"""
+
+
 def sights(
-    engine: Engine, position: np.ndarray, targets: np.ndarray, mask: np.ndarray
+    engine: Engine,
+    position: np.ndarray,
+    targets: np.ndarray,
+    mask: np.ndarray,
+    target_radius: float = 0.0,
 ) -> np.ndarray:
     """Check the line of sight from drones to targets.
 
@@ -73,6 +97,7 @@ def sights(
         position: (W, N, 3) positions of the drones, m.
         targets: (W, U, 3) positions of the targets, m.
         mask: (W, N) drones to check; False for all others.
+        target_radius: Radius of the bodies around the targets, which do not occlude them, m.
 
     Returns:
         (W, N, U) bool.
@@ -80,7 +105,8 @@ def sights(
     count = targets.shape[1]
     rays = np.count_nonzero(mask) * count
     start, end, where = np.empty((rays, 3)), np.empty((rays, 3)), np.empty(rays, dtype=np.int64)
-    _list_rays(position, targets, mask, start, end, where)
+    inset = target_radius + BODY_MARGIN if target_radius else 0.0
+    _list_rays(position, targets, mask, inset, start, end, where)
     free = engine.cast_rays(start, end, where) >= 1
     if rays == mask.size * count:  # no drone is masked
         return free.reshape(*mask.shape, count)
@@ -134,7 +160,9 @@ class SightSensor(Sensor):
     def measure(self, moment: Moment) -> Mapping[str, np.ndarray]:
         """Check the line of sight of the drones in the mask."""
         if self.setup.num_targets:
-            seen = sights(self.engine, moment.after.position, moment.targets, moment.mask)
+            radius = self.setup.target_radius
+            places, targets = moment.after.position, moment.targets
+            seen = sights(self.engine, places, targets, moment.mask, radius)
             np.copyto(self._seen, seen, where=moment.mask[..., None])
         return {"sight": self._seen.copy()}
 
@@ -162,7 +190,9 @@ class SightAhead(Sensor):
         position, mask = moment.after.position, moment.mask
         for k, way in enumerate(AHEAD.values() if self.setup.num_targets else ()):
             places = np.clip(position + way, low, high)
-            self._seen[mask, k] = sights(self.engine, places, moment.targets, mask)[mask]
+            radius = self.setup.target_radius
+            seen = sights(self.engine, places, moment.targets, mask, radius)
+            self._seen[mask, k] = seen[mask]
         return {"sight_ahead": self._seen.reshape(*mask.shape, -1).copy()}
 
 

@@ -34,6 +34,7 @@ ORDER = (
     "magnetometer",
     "optical_flow",
     "drone_sight",
+    "detector",
 )
 """Order in which the package's sensors measure and draw random numbers; others follow"""
 

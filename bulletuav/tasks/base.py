@@ -121,6 +121,7 @@ class Task(ABC, Generic[ConfigT]):
             does not depend on them.
         restarts: Part that starts drones again whose episode would end; None if their episode ends.
         num_targets: Number of target points that drones are to see.
+        target_radius: Radius of the bodies around target points, which do not hide them, m.
         zone: Separation at which the warning zone around a drone ends, m.
         arena_low: (3,) lower corner of the arena, which also bounds observed positions, m.
         arena_high: (3,) upper corner of the arena, m.
@@ -166,6 +167,7 @@ class Task(ABC, Generic[ConfigT]):
     rebound: float | None = None
     speed_limit: np.ndarray | None = None
     num_targets: int = 0
+    target_radius: float = 0.0
     zone: float
     _binding: Binding
     arena_low: np.ndarray = np.array((-100.0, -100.0, 0.0))
