@@ -33,9 +33,12 @@ class Observed(Avoidance):
 
     Attributes:
         needed: Groups of equivalent observation blocks.
+        avoids_obstacles: Whether the obstacles of the task are avoided, so that their block is
+            needed.
     """
 
     reads_swarm = False
+    avoids_obstacles: ClassVar[bool] = True
     needed: ClassVar[tuple[tuple[str, ...], ...]] = (
         ("velocity",),
         ("goal_offset", "goal"),
@@ -50,7 +53,8 @@ class Observed(Avoidance):
         """
         super().__init__(aviary)
         there = aviary.observer.slices
-        obstacles = (("obstacles",),) if aviary.task.obstacles() else ()
+        is_blocked = self.avoids_obstacles and bool(aviary.task.obstacles())
+        obstacles = (("obstacles",),) if is_blocked else ()
         for group in (*self.needed, *obstacles):
             if not there.keys() & set(group):
                 raise ValueError(

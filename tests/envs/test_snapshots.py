@@ -73,6 +73,7 @@ CASES = {
     "pursuit_evasion": {"difficulty": "hard"},
     "flocking": {"difficulty": "extreme", "num_drones": 6, "leader_turn": 0.5},
     "formation": {"num_drones": 4, "change_every": 2.0, "assignment": "free"},
+    "interception": {"difficulty": "extreme", "num_layouts": 2},
     "race": {"difficulty": "extreme", "num_drones": 3, "contact_ends": "nothing"},
     "pad_landing": {
         "difficulty": "extreme",

@@ -149,9 +149,17 @@ SHOWN_MEMORY = {
     "sighting": "sighting",
     "victims_found": "known_found",
     "searched_cells": "known_cells",
+    "target_track": "track",
 }
 """Blocks that show what some tasks alone remember, and the name of that"""
-SHOWN_TARGETS = ("centroids", "contribution_ahead", "seen_share", "sight", "sight_ahead")
+SHOWN_TARGETS = (
+    "centroids",
+    "contribution_ahead",
+    "seen_share",
+    "sight",
+    "sight_ahead",
+    "detection",
+)
 """Blocks that show targets"""
 
 

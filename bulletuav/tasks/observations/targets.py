@@ -12,6 +12,8 @@ from bulletuav.tasks.ingredients import block
 from bulletuav.tasks.observations.base import Block, make_missing_error, require_task_memory
 from bulletuav.tasks.targets import compute_seen_fraction
 
+TRACK_MEMORY = ("track", "track_detected", "track_age")
+"""Arrays of `bulletuav.tasks.parts.target_track.TargetTrack` that `target_track` shows"""
 MAX_POWER = 1000.0
 """Bound of observed power, W"""
 NUM_CELLS = 12
@@ -78,6 +80,35 @@ def contribution_ahead(
         for place in range(1, len(out)):
             there = 100.0 / count if sight_ahead[(place - 1) * count + j] else 0.0
             out[place] += there - here
+
+
+@register("observation")
+def target_track(task: Any) -> Block:
+    """Track of the target: whether it is detected now, its offset, velocity, and the track's age.
+
+    The track is that of all drones of the world; see `bulletuav.tasks.parts.target_track`. The
+    offset is from the drone to the estimated position. The age is the time since the last
+    detection, or since the start.
+    """
+    require_task_memory(task, "target_track", TRACK_MEMORY)
+    size, speed = task.arena_high - task.arena_low, np.full(3, 2 * task.context.max_speed)
+    labels = (
+        Label("track detected", "1", 0.0, 1.0),
+        *vector_labels("track position", "m", -size, size),
+        *vector_labels("track velocity", "m/s", -speed, speed),
+        Label("track age", "s", 0.0, task.context.duration),
+    )
+
+    def compute(frame: Frame, present: np.ndarray) -> np.ndarray:
+        track, detected, age = (frame.scene.memory[name] for name in TRACK_MEMORY)
+        rows = np.empty((*present.shape, len(labels)))
+        rows[..., 0] = detected[:, None]
+        rows[..., 1:4] = track[:, None, :3] - frame.known_position
+        rows[..., 4:7] = track[:, None, 3:]
+        rows[..., 7] = age[:, None]
+        return rows
+
+    return Block(labels, compute)
 
 
 @register("observation")
