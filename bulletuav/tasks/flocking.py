@@ -65,7 +65,8 @@ class FlockingConfig(AirspaceOptions, FlightConfig):
         min_order: Minimum order, and minimum cosine between a drone's motion and that of its group.
         min_speed: Minimum speed of a drone, as a fraction of flock_speed; slower drones have no
             direction.
-        min_in_place: Fraction of the episode that a drone has to fly in the flock.
+        min_in_place: Fraction of the episode that a drone has to fly in the flock. Several hundred
+            drones need a longer `horizon` to gather.
         start_speed: Minimum and maximum speed at the start, m/s, in random level directions; the
             default is limited to max_speed.
         jitter: Maximum random offset of a start on each axis, m.
@@ -168,7 +169,7 @@ class Flocking(GoalFlight[FlockingConfig]):
     decisions; extreme has 750.
 
     Success: the drone flew in the flock for 60 % of the episode (hard and extreme 50 %), without
-    conflict or collision. Flocks of several hundred drones need a longer `horizon` to gather.
+    conflict or collision.
 
     Infos: `order`, `connectivity` (drones minus groups, over drones minus 1), `in_place`.
     """

@@ -57,6 +57,7 @@ def test_every_policy_says_what_it_reads():
     observed = {f"{name}_observed" for name in ("straight", "orca", "mvp", "voronoi")}
     flocks = {"reynolds", "olfati_saber", "vasarhelyi"}
     shirkers = {"hover", "clump", "scatter", "unseeing", "half"}
+    searches = {"at_clue", "from_above", "map", "together", "touch"}
     assert {spec.name for spec in specs if not spec.reads_swarm} == {
         "random",
         "over_roofs",
@@ -66,6 +67,10 @@ def test_every_policy_says_what_it_reads():
         "pad_blind",
         *flocks,
         *(f"flock_{name}" for name in shirkers),
+        "sweep",
+        *(f"search_{name}" for name in searches),
+        "interceptor",
+        "intercept_blind",
         *observed,
     }
     assert find_policy("straight").reads_swarm
