@@ -22,9 +22,10 @@ OPTIONS = {
             *("attitude", "velocity", "rates", "pad_clue"),
             *("lidar", "claimed_pads", "neighbours"),
         )
-    }
+    },
+    "transport": {"cable_length": 1.5},  # so that the drone does not descend onto the load
 }
-"""Options of tasks whose default environment gives more than a file can keep"""
+"""Options of tasks whose default environment gives more than a file can keep, or hits something"""
 SEEDS = {"obstacles": 1}
 """Seeds with which nothing is hit, where that is not so with 0"""
 SHORT = {"flocking": 30}

@@ -294,6 +294,7 @@ class _NoTask(NamedTuple):
     config: _Config = _Config()
     has_goals: bool = False
     shows: Mapping[str, str] = MappingProxyType({})
+    loads: None = None
 
     def obstacles(self) -> tuple[Obstacle, ...]:
         """Return the obstacles."""

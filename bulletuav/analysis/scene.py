@@ -1,7 +1,7 @@
 """Scene of a recording for replays: appearance of drones and obstacles, links, and readings.
 
 The parts of `Recording.scene`, with T decisions, N drones and K obstacles, the last of which are
-the pieces of added bodies:
+the loads and the pieces of added bodies:
 
 - `about`: JSON text with the task's name, d_safe (m), units, airframes, obstacles, charging pads,
   range finder, and labels of readings.
@@ -25,9 +25,10 @@ from bulletuav.geometry.shapes import Shape
 from bulletuav.geometry.solids import Solids
 from bulletuav.sensors.base import Label
 from bulletuav.tasks.frame import Scene
+from bulletuav.tasks.parts.loads import POSITION, QUATERNION
 from bulletuav.vehicle.airframe import Airframe
 from bulletuav.vehicle.swarm import Contacts, Swarm
-from bulletuav.vehicle.visuals import read_visual_shapes
+from bulletuav.vehicle.visuals import LOAD_COLOUR, read_visual_shapes
 
 PARTS = ("about", "rotor_speed", "obstacle_quaternion", "link", "hull", "hull_size")
 """Names of the parts that every scene has"""
@@ -123,6 +124,8 @@ class SceneLog:
         self._labels = aviary.reading_labels
         self._active = aviary.task.active_targets(aviary.scene)[0]
         pads = aviary.scene.memory.get("pad")
+        loads = aviary.task.loads
+        self._loads = [] if loads is None else [(one.shape, LOAD_COLOUR) for one in loads.loads]
         self._pads = [] if pads is None else pads[0].tolist()
         self._rotor_speed: list[np.ndarray] = []
         self._turns: list[np.ndarray] = []
@@ -138,8 +141,12 @@ class SceneLog:
         self._turns.append(aviary.scene.obstacle_quaternion[0].copy())
         scenery = aviary.worlds.engine.scenery
         pieces = slice(scenery.place.shape[1] - len(scenery.bodies.owner), None)
-        poses = scenery.place[0, pieces].copy(), scenery.quaternion[0, pieces].copy()
-        self._bodies.append(poses)
+        place, turn = scenery.place[0, pieces], scenery.quaternion[0, pieces]
+        if self._loads:
+            memory = aviary.scene.memory
+            place = np.concatenate([memory[POSITION][0], place])
+            turn = np.concatenate([memory[QUATERNION][0], turn])
+        self._bodies.append((place.copy(), turn.copy()))
         self._links.append(aviary.links[0][:, self._active])
         for name, values in aviary.readings.items():
             if name in self._labels:
@@ -153,12 +160,16 @@ class SceneLog:
 
     @property
     def body_radius(self) -> np.ndarray:
-        """Radii of the bounding spheres of the pieces of bodies, (P,), m."""
-        shapes = self._aviary.worlds.engine.added_shapes
-        return np.array([bounding_radius(shape) for shape, _ in shapes])
+        """Radii of the bounding spheres of loads and the pieces of bodies, (P,), m."""
+        return np.array([bounding_radius(shape) for shape, _ in self._moving_shapes])
+
+    @property
+    def _moving_shapes(self) -> list[Any]:
+        """Shapes and colours of the loads, and of the pieces of added bodies."""
+        return [*self._loads, *self._aviary.worlds.engine.added_shapes]
 
     def body_poses(self) -> tuple[np.ndarray, np.ndarray]:
-        """Stack the poses of the P pieces of bodies in all rows.
+        """Stack the poses of the loads and the pieces of bodies, P in all, in all rows.
 
         Pieces that are not in the world are shown below the ground, below the drones.
 
@@ -216,7 +227,7 @@ class SceneLog:
                 {**_shape(shape), "colour": colour}
                 for shape, colour in (
                     *((one.shape, one.colour) for one in task.obstacles()),
-                    *self._aviary.worlds.engine.added_shapes,
+                    *self._moving_shapes,
                 )
             ],
             "pads": {"places": self._pads, "radius": getattr(task.config, "pad_radius", 0.0)},

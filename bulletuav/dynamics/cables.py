@@ -4,6 +4,7 @@ A cable is massless, limp and inextensible. It keeps the distance of its ends at
 length, and pulls only. It has no shape: drones, buildings and other cables pass through it.
 """
 
+from collections.abc import Iterable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -190,11 +191,17 @@ def with_entries(cables: Cables, num_cables: int) -> Cables:
     return more
 
 
-def group_bodies(cables: Cables) -> None:
-    """Find the groups of bodies that are connected by cables, and list their bodies and cables."""
+def group_bodies(cables: Cables, worlds: Iterable[int] | None = None) -> None:
+    """Find the groups of bodies that are connected by cables, and list their bodies and cables.
+
+    Args:
+        cables: The cables; their lists are written.
+        worlds: Indices of the worlds; None for all.
+    """
     if not cables.length.shape[1]:
         return
-    for w, bodies in enumerate(cables.body):
+    for w in range(len(cables.body)) if worlds is None else worlds:
+        bodies = cables.body[w]
         # Each body belongs to the group of the lowest index that it is connected to
         group = np.arange(cables.is_tied.shape[1])
         tied = np.zeros(len(group), dtype=bool)

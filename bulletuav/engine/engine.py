@@ -426,9 +426,11 @@ class Engine(EngineQueries):
         """Park drones outside the airspace, where they neither touch anything nor are visible.
 
         Args:
-            mask: (W, N) bool, drones to park.
+            mask: (W, N) bool, drones to park; loads, which follow drones, may be left out.
         """
-        mask = mask & self._out
+        every = np.zeros_like(self._out)
+        every[:, : mask.shape[1]] = mask
+        mask = every & self._out
         if mask.any():
             self._out &= ~mask
             if self._contacts:

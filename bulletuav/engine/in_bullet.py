@@ -30,7 +30,8 @@ class InBullet(NamedTuple):
 
     def set_masses(self, world: int, mass: np.ndarray, inertia: np.ndarray) -> None:
         """Change the masses of the drones of one world; see `Engine.set_masses`."""
-        bodies = self.bodies.drone[world].tolist()
+        # Loads, which follow drones, keep theirs
+        bodies = self.bodies.drone[world, : len(mass)].tolist()
         for body, kilograms, moments in zip(bodies, mass.tolist(), inertia.tolist(), strict=True):
             bullet.changeDynamics(
                 body,

@@ -10,6 +10,7 @@ from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.engine.body_source import BodySource
 from bulletuav.envs.agents import ACTION_TYPES
 from bulletuav.envs.airspace_inputs import Drones, rows_of
+from bulletuav.envs.cables import list_ends
 from bulletuav.envs.descriptions import describe_parts
 from bulletuav.envs.env_spec import MAX_WORLDS, EnvSpec
 from bulletuav.envs.environment import Environment, exclusive, in_plain_python
@@ -522,7 +523,10 @@ class Aviary(Environment):
         seen = marks_of(
             self.task, self.current_frame(), world, self.worlds.sensors.sensors.values()
         )
-        return self.worlds.renderer.picture(world, self.swarm, seen, flown, collision, marks)
+        swarm, shown = self.worlds.shown(self.swarm, flown)
+        if self.worlds.loads is not None:
+            seen = seen._replace(cable=list_ends(self.worlds.dynamics.cables, swarm, world))
+        return self.worlds.renderer.picture(world, swarm, seen, shown, collision, marks)
 
     @exclusive
     def add_body(

@@ -53,11 +53,11 @@ def check_ends(
     return (one, two), np.array(points)
 
 
-def list_ends(cables: Cables, swarm: Swarm) -> np.ndarray:
-    """Return the ends (C, 2, 3) of the attached cables of the first world, m."""
-    attached = cables.body[0, :, 0] != FREE
-    pairs = zip(cables.body[0, attached].tolist(), cables.point[0, attached], strict=True)
-    lines = [place_ends(swarm, ((one, two), points)) for (one, two), points in pairs]
+def list_ends(cables: Cables, swarm: Swarm, world: int = 0) -> np.ndarray:
+    """Return the ends (C, 2, 3) of the attached cables of a world, m."""
+    attached = cables.body[world, :, 0] != FREE
+    pairs = zip(cables.body[world, attached].tolist(), cables.point[world, attached], strict=True)
+    lines = [place_ends(swarm, ((one, two), points), world) for (one, two), points in pairs]
     return np.array(lines).reshape(-1, 2, 3)
 
 
@@ -67,12 +67,12 @@ def measure_reach(swarm: Swarm, ends: Ends) -> float:
     return math.sqrt(float(((here - there) ** 2).sum()))
 
 
-def place_ends(swarm: Swarm, ends: Ends) -> list[np.ndarray]:
-    """Return the positions of two ends in the first world, m."""
+def place_ends(swarm: Swarm, ends: Ends, world: int = 0) -> list[np.ndarray]:
+    """Return the positions of two ends in a world, m."""
     return [
         place
         if body == WORLD
-        else swarm.position[0, body] + np.array(to_world(swarm.quaternion[0, body], place))
+        else swarm.position[world, body] + np.array(to_world(swarm.quaternion[world, body], place))
         for body, place in zip(*ends, strict=True)
     ]
 

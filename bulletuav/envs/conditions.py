@@ -144,7 +144,8 @@ def apply_condition(parts: Parts, world: int, rows: Any, condition: Condition) -
         parts.uncertainty.load_drones(world, rows, mass, inertia)
     if effectiveness is not None:
         ratio = np.sqrt(effectiveness)
-        parts.dynamics.rotor_ratio[world, rows, : ratio.shape[-1]] = ratio
+        drones = parts.dynamics.rotor_ratio[world, : parts.options.num_drones]
+        drones[rows, : ratio.shape[-1]] = ratio
     if gravity is not None:
         parts.dynamics.local_gravity[world] = gravity
 

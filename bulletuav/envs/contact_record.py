@@ -9,13 +9,14 @@ from bulletuav.vehicle.swarm import Contacts
 class ContactRecord:
     """Contacts of the last decision, collected on demand as most decisions do not need them."""
 
-    def __init__(self, dynamics: Dynamics) -> None:
+    def __init__(self, dynamics: Dynamics, num_drones: int) -> None:
         """Create a record without contacts.
 
         Args:
             dynamics: Dynamics that reports the contacts.
+            num_drones: Number of drones of a world, whose contacts are recorded.
         """
-        self._dynamics = dynamics
+        self._dynamics, self._num_drones = dynamics, num_drones
         self._contacts: Contacts | None = Contacts.none()
         self._before: Contacts | None = None
 
@@ -27,7 +28,11 @@ class ContactRecord:
     def collect(self) -> Contacts:
         """Return the contacts of the last decision."""
         if self._contacts is None:
-            self._contacts = self._dynamics.touched()
+            found = self._dynamics.touched()
+            own = found.drone < self._num_drones
+            if not own.all():  # loads
+                found = Contacts(*(column[own] for column in found))
+            self._contacts = found
         return self._contacts
 
     def start_decision(self) -> None:

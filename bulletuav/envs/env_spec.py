@@ -96,6 +96,13 @@ class EnvSpec:
         self._require_memory(BODY_BYTES * self.options.num_drones)
         self._check_absent(kind)
         self.task = _make_task(kind, config, self.options)
+        dynamics = find_dynamics(self.options.dynamics)
+        needs_cables = kind.needs_cables or self.task.loads is not None
+        if needs_cables and not dynamics.feels_cables:
+            raise ValueError(
+                f"dynamics {dynamics.name!r} has no cables, and task {self.task.name!r} has loads: "
+                f"use dynamics 'rigid_body'"
+            )
         places = (getattr(self.task.config, name, None) for name in PLACES)
         given = read_given_positions(self.task, *places)
         self.given = DRAWN if given.is_empty else GivenStart(given)

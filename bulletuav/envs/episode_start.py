@@ -241,7 +241,11 @@ class EpisodeStart:
         program.call(expand_mask, fresh, self._fresh_drones)
         if worlds.options.has_absent:
             program.callback(self._leave_out_absent)
-        worlds.dynamics.add_place(program, state.swarm, self._fresh_drones)
+        if worlds.loads is None:
+            worlds.dynamics.add_place(program, state.swarm, self._fresh_drones)
+        else:
+            program.call(expand_mask, fresh, worlds.loads.fresh)
+            worlds.dynamics.add_place(program, worlds.loads.bodies, worlds.loads.fresh)
         add_value(program, fresh, 0, worlds.dynamics.contact.touches.number)
         program.call(update_present, state.alive, fresh, state.present, self._due)
         # Python callbacks together, as each leaves and enters compiled code
@@ -309,6 +313,8 @@ class EpisodeStart:
     def _place_scene(self) -> None:
         """Place the city and the obstacles of worlds that start."""
         scene = self._worlds.state.scene
+        if self._worlds.loads is not None:
+            self._worlds.loads.start(self._fresh)
         self._worlds.engine.set_layouts(scene.layout, self._fresh)
         if scene.obstacle.size:
             self._worlds.place_obstacles(self._fresh)

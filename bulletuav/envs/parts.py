@@ -34,6 +34,7 @@ from bulletuav.sensors.base import Sensor, SensorSetup
 from bulletuav.sensors.lidar import make_beams
 from bulletuav.sensors.mounts import as_mounts
 from bulletuav.sensors.suite import SensorSuite
+from bulletuav.vehicle.airframe import Airframe
 from bulletuav.vehicle.parameters import parameter_rows
 from bulletuav.vehicle.swarm import Swarm
 from bulletuav.vehicle.wind import Wind
@@ -62,7 +63,8 @@ class Parts(ABC):
         options: Common options.
         engine: Bodies, obstacles, cities, rays and pictures.
         dynamics: Dynamics of the drones.
-        parameters: (W, N) rows of `PARAMETERS` that the dynamics uses.
+        parameters: (W, N) rows of `PARAMETERS` that the dynamics uses; those of loads follow in
+            `dynamics.flight`.
         cascade: Controllers.
         hover_speed: (N, R) rotor speeds at which the drones hover, rad/s.
         wind: Steady wind and gusts.
@@ -84,13 +86,15 @@ class Parts(ABC):
         sensors: dict[str, Sensor],
         setup: SensorSetup,
         first_world: int = 0,
+        loads: Sequence[Airframe] = (),
     ) -> None:
         """Create all components; see `make_engine` and `SensorSuite`."""
         num_worlds, _ = setup.shape
         self.options = options
-        self.engine = make_engine(options, num_worlds, obstacles, layouts, first_world)
-        self.dynamics = make_dynamics(options, self.engine)
-        self.parameters = self.dynamics.flight.parameters
+        airframes = (*options.airframe, *loads)
+        self.engine = make_engine(options, airframes, num_worlds, obstacles, layouts, first_world)
+        self.dynamics = make_dynamics(options, airframes, self.engine)
+        self.parameters = self.dynamics.flight.parameters[:, : options.num_drones]
         self.cascade = self.dynamics.flight.cascade
         self.hover_speed = hover_speeds(options)
         self.wind = Wind(options.wind, options.wind20, num_worlds, options.wind_profile)
@@ -166,6 +170,7 @@ class Parts(ABC):
 
 def make_engine(
     options: EnvOptions,
+    airframes: Sequence[Airframe],
     num_worlds: int,
     obstacles: Sequence[Obstacle],
     layouts: Sequence[Solids],
@@ -175,13 +180,14 @@ def make_engine(
 
     Args:
         options: Common options.
+        airframes: Drones of a world, and loads after them.
         num_worlds: Number of worlds W.
         obstacles: The K obstacles of each world.
         layouts: Cities, one of which can be in a world at a time.
         first_world: Index of the first world among those of several processes.
     """
     return Engine(
-        options.airframe,
+        airframes,
         num_worlds,
         1 / options.physics_hz,
         obstacles,
@@ -193,12 +199,12 @@ def make_engine(
     )
 
 
-def make_dynamics(options: EnvOptions, engine: Engine) -> Dynamics:
+def make_dynamics(options: EnvOptions, airframes: Sequence[Airframe], engine: Engine) -> Dynamics:
     """Create the dynamics of all drones with their controllers; see `Dynamics.flight`."""
     # Controllers have a copy with the nominal airframe, whatever is randomized
     worlds = (engine.shape[0], 1)
-    parameters = np.tile(parameter_rows(options.airframe, options.effects), worlds)
-    gains = np.tile(gain_rows(options.airframe, options.max_speed), worlds)
+    parameters = np.tile(parameter_rows(airframes, options.effects), worlds)
+    gains = np.tile(gain_rows(airframes, options.max_speed), worlds)
     flight = FlightSetup(
         engine,
         parameters,

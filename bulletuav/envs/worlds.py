@@ -3,11 +3,13 @@
 import numpy as np
 
 from bulletuav.control.actions import Action
+from bulletuav.dynamics.cables import cable_bounds
 from bulletuav.envs.action_masks import ActionMasks, response_of
 from bulletuav.envs.conditions import Schedule
 from bulletuav.envs.contact_record import ContactRecord
 from bulletuav.envs.energy import Energy
 from bulletuav.envs.env_spec import EnvSpec
+from bulletuav.envs.loads import LoadFlight, drone_rows
 from bulletuav.envs.parts import BODY_BOUNDS, CONDITION_BOUNDS, Parts
 from bulletuav.envs.results import Results
 from bulletuav.envs.snapshot import UNSTARTED, Bounds, contact_bounds, state_bounds
@@ -42,6 +44,7 @@ class Worlds(Parts):
         vector: (W, N, D) observations of the last decision.
         rng: Random generator of each world.
         bodies: Bodies of the option `bodies`.
+        loads: Flight of the task's loads; None without loads.
         members: (W, N) bool, drones of the episode; False for absent ones.
         masks: Computes the masks of discrete actions; None without the option.
     """
@@ -58,18 +61,25 @@ class Worlds(Parts):
         """
         options, task, obstacles = spec.options, spec.task, spec.task.obstacles()
         sensors = (spec.sensors, spec.setup)
-        super().__init__(options, obstacles, task.layouts(), *sensors, first_world)
+        loads = () if task.loads is None else task.loads.loads
+        super().__init__(options, obstacles, task.layouts(), *sensors, first_world, loads)
         options.check_setpoint_levels(spec.action.kind_levels, self.dynamics.consumes)
         self.spec, self.task, self.action = spec, task, spec.action
         self.observer, self.num_worlds = spec.observer, spec.num_worlds
-        given = (self.dynamics.supply, self.dynamics.local_gravity)
-        self.energy = Energy(options, self.parameters, *given)
+        given = (self.parameters, self.dynamics.supply, self.dynamics.local_gravity)
+        if task.loads is not None:
+            # Its kernels need arrays of drones only
+            given = drone_rows(self.dynamics, options.num_drones)
+        self.energy = Energy(options, *given)
         self.schedule = Schedule(self, self.energy)
-        self.contacts = ContactRecord(self.dynamics)
+        self.contacts = ContactRecord(self.dynamics, options.num_drones)
         self.rng: list[np.random.Generator] = [UNSTARTED] * self.num_worlds
         self.bodies = WorldBodies(options.bodies, self.engine)
         self.dynamics.look_around()
         self._make_state(len(obstacles))
+        self.loads = (
+            None if task.loads is None else LoadFlight(task.loads, self.dynamics, self.state, given)
+        )
         self.members = np.ones((self.num_worlds, options.num_drones), dtype=bool)
         self.masks = self.make_masks(self.action) if options.action_masks else None
 
@@ -106,7 +116,7 @@ class Worlds(Parts):
         options = self.options
         radius = np.array([airframe.collision_radius for airframe in options.airframe])
         drive = (self.dynamics.consumes, options.dynamics_name, options.gravity)
-        response = response_of(self.cascade.gains[0], *drive)
+        response = response_of(self.cascade.gains[0, : options.num_drones], *drive)
         return ActionMasks(action, self.task, radius, response, 1 / options.decision_hz)
 
     def action_masks(self) -> np.ndarray:
@@ -153,12 +163,20 @@ class Worlds(Parts):
         else:
             self.engine.note_obstacles(*obstacles)
 
+    def show(self, swarm: Swarm, mask: np.ndarray) -> None:
+        """Update the poses of drones of `mask` (W, N), loads and obstacles in the engine."""
+        super().show(*self.shown(swarm, mask))
+
+    def shown(self, swarm: Swarm, mask: np.ndarray) -> tuple[Swarm, np.ndarray]:
+        """Return the state and the mask (W, N) of drones with those of the loads, for pictures."""
+        return (swarm, mask) if self.loads is None else self.loads.show(swarm, mask)
+
     def measure(self, before: Swarm, after: Swarm, mask: np.ndarray) -> None:
         """Measure with all sensors from the drones of `mask` (W, N), and store the readings."""
         if not self.sensors.sensors:
             return
         targets = self.task.targets(self.state.scene)
-        given = (self.state.action, self.dynamics.local_gravity)
+        given = (self.state.action, self.dynamics.local_gravity[:, : mask.shape[1]])
         moment = Moment(before, after, targets, mask, self.state.steps, self.rng, {}, *given)
         for name, value in self.sensors.measure(moment, self.show).items():
             held = self.readings.get(name)
@@ -195,6 +213,7 @@ class Worlds(Parts):
             **(self.body_arrays() if self.bodies.count else {}),
             **({"members": self.members} if self.options.has_absent else {}),
             **self.schedule.arrays(),
+            **self.dynamics.cables.kept(),
         }
 
     def last_arrays(self) -> dict[str, np.ndarray]:
@@ -220,4 +239,5 @@ class Worlds(Parts):
             **self.schedule.bounds(),
             **contact_bounds(self.engine.scenery),
             **BODY_BOUNDS,
+            **cable_bounds(len(self.dynamics.flight.parameters[0])),
         }

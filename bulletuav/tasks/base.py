@@ -20,6 +20,7 @@ from bulletuav.tasks.ingredients import Binding, Bound, BoundTerms, find_term, n
 from bulletuav.tasks.observations.base import Block
 from bulletuav.tasks.parts import base as part_base
 from bulletuav.tasks.parts.base import Part
+from bulletuav.tasks.parts.loads import Loads
 from bulletuav.tasks.parts.restarts import Restarts
 from bulletuav.tasks.parts.safety import Safety
 from bulletuav.vehicle.swarm import GROUND
@@ -112,6 +113,8 @@ class Task(ABC, Generic[ConfigT]):
             `bulletuav.analysis.incentives`.
         has_absent: Whether episodes may have fewer drones than `num_drones`; the task then treats
             absent drones as those that are not in `Frame.alive`.
+        needs_cables: Whether the task flies only in dynamics with cables, "rigid_body", as `loads`
+            need them.
         is_game: Whether teams play against each other, so that safety is part of the game.
         places: Positions that users may set: "start", "goal".
         rebound: Coefficient of restitution at the arena's bounds: the fraction of the normal speed
@@ -119,6 +122,7 @@ class Task(ABC, Generic[ConfigT]):
         parts: Parts of the task, in the order of `add`.
         safety: Part that counts conflicts and collisions, which rule out success; None if success
             does not depend on them.
+        loads: Part with loads on cables, which the environment flies; None without loads.
         restarts: Part that starts drones again whose episode would end; None if their episode ends.
         num_targets: Number of target points that drones are to see.
         target_radius: Radius of the bodies around target points, which do not hide them, m.
@@ -153,6 +157,7 @@ class Task(ABC, Generic[ConfigT]):
     oracle: ClassVar[str] = ""
     shirkers: ClassVar[tuple[str, ...]] = ()
     has_absent: ClassVar[bool] = False
+    needs_cables: ClassVar[bool] = False
     is_game: ClassVar[bool] = False
     places: ClassVar[tuple[str, ...]] = ()
     has_goals: ClassVar[bool] = True
@@ -163,6 +168,7 @@ class Task(ABC, Generic[ConfigT]):
 
     landing_places: tuple[int, ...] = (GROUND,)
     safety: Safety | None = None
+    loads: Loads | None = None
     restarts: Restarts | None = None
     rebound: float | None = None
     speed_limit: np.ndarray | None = None

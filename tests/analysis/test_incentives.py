@@ -23,7 +23,10 @@ from bulletuav.tasks.converge import Converge
 
 POINTS = {"dynamics": "single_integrator"}
 CASES = ["converge", "hover", "los"]
-OWN = {"pad_landing": {"dynamics": "rigid_body", "camera_hz": 10, "camera_size": (48, 48)}}
+OWN = {
+    "pad_landing": {"dynamics": "rigid_body", "camera_hz": 10, "camera_size": (48, 48)},
+    "transport": {"dynamics": "rigid_body"},
+}
 """Options of tasks that need bodies to be done, and cheaper pictures"""
 SERVICES = ("los", "mobile_users", "mec", "mec_advanced")
 

@@ -20,6 +20,7 @@ QUICK = {
 }
 LADDER = ("bullet", "rigid_body", "point_mass", "double_integrator", "single_integrator")
 OTHERS = dict(zip(bulletuav.list_tasks(), itertools.cycle(LADDER), strict=False))
+OTHERS["transport"] = "rigid_body"  # its loads need cables
 
 
 def flown(task, **options):

@@ -13,6 +13,7 @@ import bulletuav
 from bulletuav.control.actions import ACTIONS
 from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.dynamics import DYNAMICS
+from bulletuav.tasks import find_task
 
 AIRFRAMES = bulletuav.available_airframes()
 MOVE = 0.2  # share of max_speed
@@ -173,6 +174,8 @@ def product():
     for task, dynamics, airframe, action in itertools.product(
         bulletuav.list_tasks(), DYNAMICS, AIRFRAMES, ACTIONS
     ):
+        if find_task(task).needs_cables and dynamics != "rigid_body":
+            continue
         if (
             dynamics in ("bullet", "rigid_body")
             or ACTION_LEVELS[action] <= KINEMATIC_LEVELS[dynamics]

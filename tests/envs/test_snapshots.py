@@ -57,6 +57,7 @@ CASES = {
     "hover": {"controller": "pid", "effects": ("downwash", "voltage"), "num_drones": 2},
     "mec_advanced": {"difficulty": "hard", "num_layouts": 1, "area": 250.0},
     "mobile_users": {"num_layouts": 1, "area": 250.0},
+    "transport": {"num_drones": 2, "wind": (1.0, 0.0, 0.0)},
     "patrol": {"area": 150.0, "num_layouts": 1, "battery_capacity": 1.0},
     "pads": {
         "task": "coverage",
@@ -83,6 +84,9 @@ CASES = {
     "search": {"difficulty": "extreme", "num_drones": 3, "num_victims": 2, "num_layouts": 2},
 }
 DYNAMICS = ("single_integrator", "point_mass", "rigid_body", "bullet")
+BOUND = {"hover": ("rigid_body", "bullet"), "transport": ("rigid_body",)}
+"""Dynamics of tasks that command rotors, or have cables"""
+FLOWN = [(case, one) for case in CASES for one in BOUND.get(case, DYNAMICS)]
 
 
 def made(case, worlds=3, **options):
@@ -125,11 +129,8 @@ def same(one, other):
         np.testing.assert_array_equal(mine, theirs)
 
 
-@pytest.mark.parametrize("dynamics", DYNAMICS)
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize(("case", "dynamics"), FLOWN)
 def test_flights_go_on_from_a_snapshot_to_the_last_bit(case, dynamics):
-    if case == "hover" and dynamics in ("single_integrator", "point_mass"):
-        pytest.skip("hover commands rotors")
     aviary = made(case, dynamics=dynamics)
     flown(aviary, 15, 0)
     saved, before = sent(aviary.save_state()), aviary.state_hash()
@@ -146,12 +147,9 @@ def test_flights_go_on_from_a_snapshot_to_the_last_bit(case, dynamics):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("dynamics", DYNAMICS)
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize(("case", "dynamics"), FLOWN)
 def test_any_moment_of_any_flight_can_be_gone_back_to(case, dynamics):
     """10,000 moments in all; half of the drones dive, so there are contacts."""
-    if case == "hover" and dynamics in ("single_integrator", "point_mass"):
-        pytest.skip("hover commands rotors")
     aviary, rng, touched = made(case, dynamics=dynamics), np.random.default_rng(0), 0
     for k in range(240):
         flown(aviary, int(rng.integers(1, 12)), k)

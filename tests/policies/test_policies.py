@@ -65,6 +65,8 @@ def test_every_policy_says_what_it_reads():
         "street_pilot",
         "pad_seeker",
         "pad_blind",
+        "carrier",
+        *(f"transport_{name}" for name in ("lift", "above", "drag", "drop", "beside", "ram")),
         *flocks,
         *(f"flock_{name}" for name in shirkers),
         "sweep",

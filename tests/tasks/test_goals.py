@@ -19,6 +19,8 @@ def small(name):
     )
     if name == "obstacles":
         cities = {}
+    if find_task(name).needs_cables:
+        cities["dynamics"] = "rigid_body"
     return FAST | cities | ({"leg": 50.0} if "navigation" in name else {})
 
 

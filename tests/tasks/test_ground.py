@@ -7,6 +7,7 @@ from scipy.spatial.distance import pdist
 
 import bulletuav
 from bulletuav.policies.find import find_policy
+from bulletuav.tasks import find_task
 from bulletuav.tasks.frame import MAX_TOUCHDOWN_SPEED
 
 LEVELS = ["single_integrator", "point_mass", "rigid_body", "bullet"]
@@ -33,6 +34,8 @@ def fly(aviary, policy, decisions=500):
 @pytest.mark.parametrize("task", bulletuav.list_tasks())
 def test_every_task_can_start_on_the_ground(task):
     options = {"action": "velocity", "randomization": {}, **POINTS}
+    if find_task(task).needs_cables:
+        options["dynamics"] = "rigid_body"
     aviary = bulletuav.Aviary(task, 2, take_off=True, **options)
     aviary.reset(seeds=0)
     stands = np.array([[airframe.standing_height for airframe in aviary.options.airframe]] * 2)

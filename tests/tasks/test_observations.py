@@ -150,6 +150,9 @@ SHOWN_MEMORY = {
     "victims_found": "known_found",
     "searched_cells": "known_cells",
     "target_track": "track",
+    "load": "load_position",
+    "cable": "load_position",
+    "load_goal_offset": "load_position",
 }
 """Blocks that show what some tasks alone remember, and the name of that"""
 SHOWN_TARGETS = (

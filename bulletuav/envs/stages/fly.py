@@ -29,8 +29,11 @@ class Fly(Stage):
         turns = (worlds.engine.scenery, state.scene.obstacle_quaternion, dynamics.contact.turns)
         if task.turns_obstacles:
             program.call(start_turns, *turns)
-        setpoints = Setpoints(state.levels, state.setpoint)
-        dynamics.add_to(program, state.swarm, state.flown, setpoints, state.wind)
+        if worlds.loads is None:
+            setpoints = Setpoints(state.levels, state.setpoint)
+            dynamics.add_to(program, state.swarm, state.flown, setpoints, state.wind)
+        else:
+            worlds.loads.add_to(program, worlds.wind)
         if task.turns_obstacles:
             program.call(finish_turns, *turns)
         add_obstacles(program, worlds.engine, state.scene.obstacle)
