@@ -245,8 +245,11 @@ def test_no_published_row_earns_more_for_less_success(task):
 
     rows = [row for row in published() if row["task"] == task]
     score = "return" if "return" in rows[0] else "team 0 return"
-    baseline, *_ = find_task(task).baseline.split(" vs ")
-    (base,) = [row for row in rows if row["policy"] == f"`{baseline}`"]
+    kind = find_task(task)
+    baseline, *_ = kind.baseline.split(" vs ")
+    by_policy = {row["policy"]: row for row in rows}
+    # A baseline that needs pictures is no row: learned rows observe vectors
+    base = by_policy.get(f"`{baseline}`") or by_policy[f"`{kind.oracle}`"]
     for row in rows:
         is_less_safe = low_and_high(row["safe success"])[1] < low_and_high(base["safe success"])[0]
         earns_more = low_and_high(row[score])[0] > low_and_high(base[score])[1]

@@ -138,7 +138,11 @@ def test_the_manifest_has_all_rows_of_the_leaderboard(monkeypatch):
     rows = list_rows(read_settings(ROOT / "benchmarks" / "leaderboard.yaml", "settings"))
     listed = {results.name_row(path) for path in manifest["files"]}
     tables = {path.parent.name for path in ROOT.glob("docs/results/**/leaderboard.md")}
-    assert listed == {row.name for row in rows} | {"racer", "streets"} | tables
+    # Tasks in which nothing is learned yet have the rows of their baselines, and the page says so
+    page = (ROOT / "docs" / "results" / "leaderboard" / "leaderboard.md").read_text()
+    unlearned = set(re.findall(r"\| \[(\w+)\]\(#\w+\) \| not flown yet", page))
+    flown = {row.name for row in rows if row.seed is None or row.task not in unlearned}
+    assert listed == flown | {"racer", "streets"} | tables
     assert len(manifest["commit"]) == 40
     _, agrees = results.check(ROOT, [])
     assert agrees
