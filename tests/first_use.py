@@ -21,6 +21,7 @@ def entry_points():
     import pettingzoo
 
     import bulletuav
+    from bulletuav.geometry.obstacle import Obstacle
 
     options = {"dynamics": "point_mass", "action": "velocity", "horizon": 3}
 
@@ -50,6 +51,7 @@ def entry_points():
         "evaluate": lambda: bulletuav.evaluate("crossing", "orca", 1, **options),
         "list_tasks": lambda: bulletuav.list_tasks(),
         "load_airframe": lambda: bulletuav.load_airframe("cf2x"),
+        "make_load": lambda: bulletuav.make_load(Obstacle("box", (0.1, 0.1, 0.1)), 0.2),
         "parallel_env": lambda: flown(bulletuav.parallel_env("mec", **options)),
         "register": lambda: bulletuav.register("reward", "own")(len),
         "team_env": lambda: flown(
