@@ -32,6 +32,7 @@ OPTIONS: dict[str, dict[str, Any]] = {
     **dict.fromkeys(("mec_advanced", "mobile_users", "navigation"), CITY),
     "crossing": {"num_drones": 8},
     "converge": {"num_drones": 8},
+    "transport": {"dynamics": "rigid_body", "num_drones": 4},
     "search": {"num_drones": 3, "num_victims": 3, "city": "wooded_hills", "num_layouts": 1},
 }
 """Options of tasks beside `COMMON`"""

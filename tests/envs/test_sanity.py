@@ -240,6 +240,13 @@ def test_same_seed_same_bits(cases):
         check_same_bits(*case)
 
 
+OWN_OPTIONS = {
+    "pad_landing": {"d_safe": 0.8, "observation": ("velocity", "pad_clue", "claimed_pads")},
+    "transport": {"d_safe": 0.8},
+}
+"""Options with which tasks suit all airframes, and have no pictures"""
+
+
 def check_same_bits(task, dynamics, airframe, action):
     # Crazyflies are slower than the usual queue
     slow = {"speed": (4.0, 6.5), "horizon": 3000}
@@ -256,6 +263,7 @@ def check_same_bits(task, dynamics, airframe, action):
             action=action,
             turbulence="light",
             **slow,
+            **OWN_OPTIONS.get(task, {}),
             **placing.small_cities(task),
         )
     for past in (0, 1):

@@ -372,11 +372,11 @@ def damage():
         "ulog noise": (b"ULog" + np.random.default_rng(1).bytes(5000), "Failed to parse header"),
         "ulog noisy": (plain[:16] + np.random.default_rng(1).bytes(5000), "damaged"),
         "ulog cut": (plain[:-3], "not read: an incomplete message at its end"),
-        "ulog bomb": (bomb.data, "need too much memory"),
+        "ulog bomb": (bomb.data, BOUNDED),
         "ulog empty": (empty.data, "lacks the columns"),
         "ulog loop": (loop.data, "maximum recursion depth"),
         "ulog huge": (huge.data, "not read: damaged messages"),
-        "ulog wide": (wide.data, "need too much memory"),
+        "ulog wide": (wide.data, BOUNDED),
         "ulog short": (short.data, "not read: damaged messages"),
         "ulog unknown": (unknown.data, "lacks the columns"),
         "ulog clock": (no_clock.data, "a has no timestamp"),
@@ -400,6 +400,8 @@ def damage():
     }
 
 
+BOUNDED = ("need too much memory", "takes pyulog more than")
+"""Messages of the limits on memory and on time, of which a busy machine may reach either first"""
 DAMAGED = damage()
 
 
@@ -411,7 +413,8 @@ def test_damaged_logs_give_one_error(name, tmp_path, monkeypatch):
     with pytest.raises(ValueError, match=".") as caught:
         read_flight_log(path, {}, DRONE)
     assert str(path) in str(caught.value)
-    assert message in str(caught.value)
+    messages = (message,) if isinstance(message, str) else message
+    assert any(one in str(caught.value) for one in messages)
 
 
 def test_a_log_that_takes_too_long_is_refused(logs, monkeypatch):
