@@ -12,7 +12,7 @@ from own_ingredients import DRONES, GLOBAL, Perch, Uwb, fly, near, wrong
 
 import bulletuav
 from bulletuav import registry
-from bulletuav.tasks import Task, TaskConfig, end, reward
+from bulletuav.tasks import Task, TaskConfig, end, find_task, reward
 
 
 def with_term(function):
@@ -338,10 +338,11 @@ def test_what_only_the_check_of_tasks_sees(attributes, message):
 @pytest.mark.parametrize("task", bulletuav.list_tasks())
 def test_a_registered_term_flies_in_a_task_or_is_refused_when_it_is_made(task):
     refused = []
+    dynamics = "rigid_body" if find_task(task).needs_cables else "single_integrator"
     for name in registry.names("reward"):
         own = {"reward": {"own": (name, 0.5)}}
         try:
-            aviary = bulletuav.Aviary(task, dynamics="single_integrator", action="velocity", **own)
+            aviary = bulletuav.Aviary(task, dynamics=dynamics, action="velocity", **own)
         except ValueError as error:
             refused.append(str(error))
             continue
