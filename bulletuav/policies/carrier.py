@@ -7,7 +7,7 @@ import numpy as np
 from bulletuav.control.actions import limit_norm
 from bulletuav.envs.aviary import Aviary
 from bulletuav.policies.base import Policy, require_supported_task
-from bulletuav.policies.observed import unpack_blocks
+from bulletuav.policies.observed import require_blocks, unpack_blocks
 from bulletuav.registry import register
 from bulletuav.tasks.observations.observer import Observation
 from bulletuav.tasks.transport import Transport
@@ -78,13 +78,7 @@ class Carrier(Policy):
         """
         super().__init__(aviary)
         self.task = require_supported_task(self, Transport)
-        for name in NEEDED:
-            if name not in aviary.observer.slices:
-                raise ValueError(
-                    f"policy {self.name!r} reads block {name!r}, which is not observed: leave "
-                    f"observation out, or add the block"
-                )
-
+        require_blocks(self.name, aviary, NEEDED)
         self._drift = np.zeros((*aviary.alive.shape, 2))
 
     def reset(self, mask: np.ndarray) -> None:

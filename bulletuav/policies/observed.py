@@ -4,6 +4,7 @@ Each policy is a state-based policy whose `Traffic` comes from observation block
 therefore include the effects of noise, losses and the number of observed neighbours.
 """
 
+from collections.abc import Iterable
 from typing import ClassVar
 
 import numpy as np
@@ -111,6 +112,20 @@ class Observed(Avoidance):
             (W, N, width of the block) arrays by name.
         """
         return unpack_blocks(self.aviary, observations)
+
+
+def require_blocks(policy: str, aviary: Aviary, needed: Iterable[str]) -> None:
+    """Check that all blocks that a policy reads are observed.
+
+    Raises:
+        ValueError: If one is not.
+    """
+    for name in needed:
+        if name not in aviary.observer.slices:
+            raise ValueError(
+                f"policy {policy!r} reads block {name!r}, which is not observed: leave "
+                f"observation out, or add the block"
+            )
 
 
 def unpack_blocks(aviary: Aviary, observations: Observation) -> dict[str, np.ndarray]:

@@ -8,6 +8,7 @@ from bulletuav.control.actions import limit_norm
 from bulletuav.envs.aviary import Aviary
 from bulletuav.geometry.rotation import axes, from_euler, heading, product
 from bulletuav.policies.base import Policy, require_supported_task
+from bulletuav.policies.observed import require_blocks
 from bulletuav.policies.pad_approach import LEAD, PadTarget, approach_pads, keep_apart, match_pads
 from bulletuav.policies.pad_vision import PadTracks, find_pads, picture_rays
 from bulletuav.registry import register
@@ -95,12 +96,7 @@ class PadSeeker(Policy):
         super().__init__(aviary)
         self._task = require_supported_task(self, PadLanding)
         observer, options = aviary.observer, aviary.options
-        for name in NEEDED:
-            if name not in observer.slices:
-                raise ValueError(
-                    f"policy {self.name!r} reads block {name!r}, which is not observed: leave "
-                    f"observation out, or add the block"
-                )
+        require_blocks(self.name, aviary, NEEDED)
         mount = as_mounts(options.camera_mounts)
         if isinstance(mount, tuple) or (self.looks and "depth" not in observer.images):
             raise ValueError(

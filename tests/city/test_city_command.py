@@ -33,10 +33,10 @@ def test_a_generated_city(tmp_path, capsys):
 def test_terrain(tmp_path, capsys):
     words = ["--kind", "wooded_hills", "--side", "120", "--relief", "10", "--tree-density", "50"]
     run(*words, "--out", str(tmp_path))
-    told = json.loads((tmp_path / "statistics.json").read_text())
-    assert (told["name"], told["side_m"], told["trees"]) == ("own", 120, 72)
-    assert told["statistics"]["relief, m"] == {"realised": pytest.approx(10), "target": None}
-    assert told["statistics"]["trees per hectare"]["realised"] == pytest.approx(50)
+    written = json.loads((tmp_path / "statistics.json").read_text())
+    assert (written["name"], written["side_m"], written["trees"]) == ("own", 120, 72)
+    assert written["statistics"]["relief, m"] == {"realised": pytest.approx(10), "target": None}
+    assert written["statistics"]["trees per hectare"]["realised"] == pytest.approx(50)
     assert (tmp_path / "city.obj").read_text().count("\no ") == 144 + 8 * 8
     assert imread(tmp_path / "map.png").shape[0] > 800
     assert "steepest slope" in capsys.readouterr().out
