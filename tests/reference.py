@@ -123,23 +123,3 @@ class Reference:
             :, -1
         ]
         return end[:3], end[3:7] / np.linalg.norm(end[3:7]), end[7:10], end[10:13]
-
-    def engine_scheme(self, position, quaternion, velocity, rates, initial_speeds, dt, steps):
-        """Integrate by the declared scheme of `bullet`.
-
-        That is semi-implicit Euler, rates by RK4 under a constant torque, R+ = R exp(dt w+).
-        """
-        p, v, w = (np.array(value, float) for value in (position, velocity, rates))
-        R, n = Rotation.from_quat(quaternion), np.asarray(initial_speeds, float)
-        for _ in range(steps):
-            before, n = n, np.asarray(self.speeds(n, dt))
-            force, torque = self.wrench(p, R.as_quat(), v, n, (n - before) / dt)
-            k1 = self.rates_slope(w, torque, n)
-            k2 = self.rates_slope(w + dt / 2 * k1, torque, n)
-            k3 = self.rates_slope(w + dt / 2 * k2, torque, n)
-            k4 = self.rates_slope(w + dt * k3, torque, n)
-            w = w + dt / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
-            v = v + dt * force / self.a.mass
-            p = p + dt * v
-            R = R * Rotation.from_rotvec(dt * w)
-        return p, R.as_quat(), v, w

@@ -74,17 +74,18 @@ class Blocks(NamedTuple):
     steering: Steering
 
     @classmethod
-    def of(cls, drones: DroneArrays, cascade: Cascade) -> "Blocks":
+    def of(cls, drones: DroneArrays, cascade: Cascade, at_least: int = DRONES) -> "Blocks":
         """Allocate the arrays.
 
         Args:
             drones: Drones of all worlds.
             cascade: Controllers of all worlds.
+            at_least: Number of drones from which on a group of worlds is large enough.
         """
         swarm, _, parameters = drones
         assert all(array.flags.c_contiguous for array in (*swarm, parameters))
         num_worlds, num_drones, num_rotors = swarm.rotor_speed.shape
-        worlds = min(max(DRONES // num_drones, 1), num_worlds)
+        worlds = min(max(at_least // num_drones, 1), num_worlds)
         blocks = -(-worlds * num_drones // WIDTH)
         numbers = parameters.view(np.float64).reshape(*parameters.shape, -1)
         return cls(
@@ -128,13 +129,21 @@ def pack_blocks(blocks: Any, air: Any, first: int) -> None:
             held[k] = gathered(air.wind, drone, k)
             held[4 + k] = gathered(air.force, drone, k)
             held[7 + k] = gathered(air.torque, drone, k)
-        held[3] = gathered(air.surface, drone, 0)
         held[10] = gathered(air.supply, drone, 0)
         held[11] = gathered(air.local_gravity, drone, 0)
         ratio = lanes_of(blocks.ratio, b)
         for r in range(air.rotor_ratio.shape[2]):
             ratio[r] = gathered(air.rotor_ratio, drone, r)
         blocks.alike[b] = _are_alike(blocks, drone)
+    pack_surface(blocks, air, first)
+
+
+@kernel
+def pack_surface(blocks: Any, air: Any, first: int) -> None:
+    """Pack the heights of the surface below a group's drones; see `pack_blocks`."""
+    count = min(-(-(blocks.rows.size - first) // WIDTH), blocks.packed.shape[0])
+    for b in range(count):
+        lanes_of(blocks.held, b)[3] = gathered(air.surface, first + b * WIDTH, 0)
 
 
 @func

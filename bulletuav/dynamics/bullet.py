@@ -1,130 +1,188 @@
-"""Dynamics `bullet`: Bullet integrates the wrench that all 6-DoF dynamics share.
+"""Dynamics `bullet`: Bullet moves the drones by the forces of the flight of `rigid_body`.
 
-Scheme of one substep: rotor lag; wrench at the state before the substep with the rotor speeds after
-it; velocity v+ = v + dt F / m, position p+ = p + dt v+; body rates by Euler's equation (RK4,
-constant torque), attitude R+ = R exp(dt w+). Bullet alone would take an explicit Euler step of the
-rates, which gains energy; the torque is corrected so that Bullet's step ends at the accurate rates.
-The height above the surface is sampled in every substep.
+In each substep the RK4 of `rigid_body` computes where a drone is after it. Bullet's step is
+semi-implicit Euler: velocity v+ = v + dt F / m, then position p+ = p + dt v+, and likewise attitude
+R+ = R exp(dt w+). So Bullet gets the mean force and torque under which v+ and w+ are the mean
+velocities over the substep, and its step ends at the accurate pose. The velocities of the swarm are
+those of the flight; Bullet's are half a substep behind. Unlike in `rigid_body`, the height of the
+surface below is sampled in every substep.
 
 Bullet limits the rotation in a substep to pi/4 (188 rad/s at 240 Hz); for faster spins the attitude
 lags behind, the rates do not. `bulletuav.contact` resolves contacts, as for all dynamics. With
 contacts="bullet" Bullet's own solver does, for comparison: there fast drones pass through thin
-bodies.
+bodies. As that solver changes velocities at the end of a substep, Bullet's are then those of the
+flight, and positions are of first order.
 """
+
+from typing import NamedTuple
 
 import numpy as np
 
-from bulletuav.compiled.kernel import allocating, in_memory, kernel
+from bulletuav.compiled.kernel import allocating, func, in_memory, kernel
 from bulletuav.compiled.program import Program
-from bulletuav.contact.contact_state import ContactState, stays_asleep, wake_drone
-from bulletuav.contact.contacts import place_obstacles, save_all_start_states, step_all_contacts
-from bulletuav.control.setpoint import SetpointLevel
-from bulletuav.dynamics.base import Decision, Dynamics, FlightSetup
-from bulletuav.dynamics.drive import Scratch, drive
+from bulletuav.contact.contact_state import ContactState
+from bulletuav.contact.contacts import place_obstacles, step_contacts
+from bulletuav.dynamics.base import Decision, FlightSetup
+from bulletuav.dynamics.blocks import FEWEST, Blocks, pack_surface
+from bulletuav.dynamics.cables import Cables
+from bulletuav.dynamics.rigid_body import RigidBody, fly_worlds, start_worlds
+from bulletuav.dynamics.tied import hold_tied
 from bulletuav.engine.c_extension import EnginePort, substep, surface_below, write_states
-from bulletuav.geometry.rotation import plus, quat4, vec3
+from bulletuav.geometry.rotation import (
+    cross,
+    log_map,
+    minus,
+    product,
+    quat4,
+    to_body,
+    vec3,
+)
 from bulletuav.registry import register
 from bulletuav.vehicle.swarm import Contacts, DroneArrays, Swarm
+from bulletuav.vehicle.wrench import Wrenches
+
+
+class Pull(NamedTuple):
+    """What makes Bullet's bodies follow the flight of W worlds of N drones.
+
+    Attributes:
+        port: Port of the engine; None without the C extension.
+        velocity: (W, N, 3) velocities of the drones in Bullet, world axes, m/s.
+        omega: (W, N, 3) angular velocities of the drones in Bullet, world axes, rad/s.
+        wrenches: Forces and torques that Bullet applies in a substep.
+        flying: (W, N) bool, drones that Bullet moves in a substep.
+        is_mean: Whether Bullet's velocities are the means over a substep.
+        near_ground: Whether the ground effect needs the surface below.
+    """
+
+    port: EnginePort | None
+    velocity: np.ndarray
+    omega: np.ndarray
+    wrenches: Wrenches
+    flying: np.ndarray
+    is_mean: bool
+    near_ground: bool
+
+
+@func
+def _choose_flying(drones: DroneArrays, contact: ContactState, flying: np.ndarray) -> None:
+    """Mark the drones that move: a drone that a contact stopped rests until the decision ends."""
+    for w in range(flying.shape[0]):
+        for i in range(flying.shape[1]):
+            flying[w, i] = drones.alive[w, i] and not contact.stopped[w, i]
 
 
 @kernel
-def choose_flying(drones: DroneArrays, contact: ContactState, dt: float, scratch: Scratch) -> None:
-    """Select the drones that the engine moves, and wake sleeping drones whose forces changed.
+def fly_ahead(
+    decision: Decision,
+    contact: ContactState,
+    blocks: Blocks,
+    cables: Cables,
+    pull: Pull,
+    piece: int,
+) -> None:
+    """Fly one substep without contacts, and write the wrenches with which Bullet does the same.
 
     Args:
-        drones: All drones.
-        contact: State of the contact solver; sleeping drones whose forces changed are woken.
-        dt: Duration of the substep, s.
-        scratch: Wrenches of the drones; `flying` is written.
+        decision: Inputs of the decision; the swarm is at the end of the substep afterwards.
+        contact: State of the contact solver, which keeps the state at the begin of the substep.
+        blocks: Work arrays of all worlds.
+        cables: Cables between the bodies.
+        pull: The wrenches, and the drones that Bullet moves; written.
+        piece: Index of the substep in the decision.
     """
-    alive, flying = drones.alive, scratch.flying
-    force, torque = scratch.wrenches.force, scratch.wrenches.torque
-    for w in range(alive.shape[0]):
-        for i in range(alive.shape[1]):
-            # A drone that a contact stopped stays in place for the rest of the decision
-            flying[w, i] = alive[w, i] and not contact.stopped[w, i]
-            if flying[w, i] and contact.asleep[w, i]:
-                # Accelerations that would move a sleeping drone: force / mass, torque / inertia
-                row = drones.parameters[w, i]
-                turn = vec3(torque, w, i)
-                inertia = row.inertia
-                accelerates = plus((0.0, 0.0, 0.0), 1.0 / row.mass, vec3(force, w, i))
-                spins = (turn[0] / inertia[0], turn[1] / inertia[1], turn[2] / inertia[2])
-                turned = quat4(drones.swarm.quaternion, w, i)
-                if not stays_asleep(contact, w, i, turned, accelerates, spins, row, dt):
-                    wake_drone(contact, w, i)
-    # The other drones of a pile are woken together with one of them
-    for w in range(alive.shape[0]):
-        for i in range(alive.shape[1]):
-            flying[w, i] = flying[w, i] and not contact.asleep[w, i]
-
-
-@kernel
-def _choose_driven(alive: np.ndarray, contact: ContactState, driven: np.ndarray) -> None:
-    """Write the mask (W, N) of drones whose rotors turn: alive, and not stopped by a contact."""
-    for w in range(alive.shape[0]):
-        for i in range(alive.shape[1]):
-            driven[w, i] = alive[w, i] and not contact.stopped[w, i]
+    decision, contact = in_memory(decision), in_memory(contact)
+    blocks, cables = in_memory(blocks), in_memory(cables)
+    drones, dt = decision.drones, decision.step.dt
+    num_worlds, num_drones = drones.alive.shape
+    if piece == 0:
+        start_worlds(decision, blocks, 0, num_worlds)
+    elif pull.near_ground and drones.alive.size >= FEWEST:
+        pack_surface(blocks, decision.air, 0)
+    fly_worlds(decision, contact, blocks, cables, 0, num_worlds, piece)
+    _choose_flying(drones, contact, pull.flying)
+    swarm, start, wrenches = drones.swarm, contact.start, pull.wrenches
+    for w in range(num_worlds):
+        for i in range(num_drones):
+            pull.flying[w, i] = pull.flying[w, i] and not contact.asleep[w, i]
+            if pull.flying[w, i]:
+                row, inertia = drones.parameters[w, i], drones.parameters[w, i].inertia
+                before = quat4(start.quaternion, w, i)
+                # Velocities after Bullet's step, in world and body axes
+                speed, rates = vec3(swarm.velocity, w, i), vec3(swarm.rates, w, i)
+                if pull.is_mean:
+                    path = minus(vec3(swarm.position, w, i), vec3(start.position, w, i))
+                    speed = (path[0] / dt, path[1] / dt, path[2] / dt)
+                    back = (-before[0], -before[1], -before[2], before[3])
+                    turn = log_map(product(back, quat4(swarm.quaternion, w, i)))
+                    rates = (turn[0] / dt, turn[1] / dt, turn[2] / dt)
+                change = minus(speed, vec3(pull.velocity, w, i))
+                spin = to_body(before, vec3(pull.omega, w, i))
+                carried = (inertia[0] * spin[0], inertia[1] * spin[1], inertia[2] * spin[2])
+                # Bullet subtracts the gyroscopic torque
+                gyroscopic = cross(spin, carried)
+                for k in range(3):
+                    wrenches.force[w, i, k] = row.mass * change[k] / dt
+                    turned = inertia[k] * (rates[k] - spin[k]) / dt
+                    wrenches.torque[w, i, k] = gyroscopic[k] + turned
 
 
 @allocating
 def advance_bullet(
-    decision: Decision, contact: ContactState, scratch: Scratch, port: EnginePort, near_ground: bool
+    decision: Decision, contact: ContactState, blocks: Blocks, cables: Cables, pull: Pull
 ) -> None:
     """Fly all substeps of one decision in one call, through the C extension.
 
     Args:
         decision: Inputs of the decision; the surface of its air is written.
         contact: State of the contact solver.
-        scratch: Work arrays.
-        port: Session of the extension, and the arrays of the worlds.
-        near_ground: Whether the ground effect needs the surface below.
+        blocks: Work arrays of all worlds.
+        cables: Cables between the bodies.
+        pull: What makes Bullet's bodies follow.
     """
-    decision, contact = in_memory(decision), in_memory(contact)
-    scratch, port = in_memory(scratch), in_memory(port)
-    drones, step, driven = decision.drones, decision.step, scratch.driven
-    swarm = drones.swarm
-    _choose_driven(drones.alive, contact, driven)
+    decision, contact, cables = in_memory(decision), in_memory(contact), in_memory(cables)
+    drones, step, port = decision.drones, decision.step, pull.port
     for piece in range(step.substeps):
-        save_all_start_states(contact, swarm)
-        # The wrenches act on the state before the substep
-        if near_ground:
+        if pull.near_ground:
             place_obstacles(contact, piece, step)
-            surface_below(port, swarm.position, driven, decision.air.surface)
-        drive(decision, scratch)
-        choose_flying(drones, contact, step.dt, scratch)
-        substep(port, scratch.wrenches, scratch.flying, swarm)
-        # The engine continues from the states that contacts changed
-        if step_all_contacts(contact, drones, piece, step):
-            write_states(port, swarm, contact.changed)
-            _choose_driven(drones.alive, contact, driven)
+            _choose_flying(drones, contact, pull.flying)
+            surface_below(port, drones.swarm.position, pull.flying, decision.air.surface)
+        fly_ahead(decision, contact, blocks, cables, pull, piece)
+        substep(port, pull.wrenches, pull.flying, drones.swarm)
+        # Bullet continues from the states that contacts changed
+        if step_and_hold(decision, contact, cables, piece):
+            write_states(port, drones.swarm, contact.changed)
+
+
+@kernel
+def step_and_hold(decision: Decision, contact: ContactState, cables: Cables, piece: int) -> bool:
+    """Resolve the contacts of all worlds and cables; returns whether any state was changed."""
+    any_hit = False
+    for w in range(decision.drones.alive.shape[0]):
+        hit = step_contacts(contact, decision.drones, w, piece, decision.step)
+        any_hit = any_hit or hit
+        if hit and cables.num_groups[w] > 0:
+            hold_tied(decision, cables, contact, w)
+            for i in range(cables.is_tied.shape[1]):
+                contact.changed[w, i] = contact.changed[w, i] or cables.is_tied[w, i]
+    return any_hit
 
 
 @register("dynamics")
-class BulletDynamics(Dynamics):
-    """Rigid-body dynamics that Bullet integrates in every substep."""
+class BulletDynamics(RigidBody):
+    """Rigid-body dynamics whose drones Bullet moves in every substep."""
 
     name = "bullet"
-    consumes = SetpointLevel.ROTOR
-    feels_surface = True
-    feels_force = True
-    feels_torque = True
-    feels_rotors = True
-    feels_mass = True
-    feels_inertia = True
-    feels_gravity = True
     contacts = ("impulse", "stop", "bullet")
-    sleeps = True
 
     def __init__(self, flight: FlightSetup) -> None:
-        """Allocate the work arrays, and create the bodies of the drones in Bullet.
+        """Create the bodies of the drones in Bullet.
 
         Args:
             flight: Worlds, drone parameters, controllers and time step.
         """
         super().__init__(flight)
         flight.engine.make_bodies()
-        self._scratch = Scratch.of(*flight.parameters.shape)
         self._in_engine = Contacts.none()
 
     def _add_start(self, program: Program, swarm: Swarm, mask: np.ndarray) -> None:
@@ -133,11 +191,13 @@ class BulletDynamics(Dynamics):
         super()._add_start(program, swarm, mask)
 
     def kept(self) -> dict[str, np.ndarray]:
-        """Return also the angular velocities in the engine; see the base class."""
-        return {**super().kept(), "omega": self.flight.engine.omega}
+        """Return also the velocities in the engine; see the base class."""
+        engine = self.flight.engine
+        return {**super().kept(), "bullet_velocity": engine.velocity, "omega": engine.omega}
 
     def restore(self, swarm: Swarm, mask: np.ndarray) -> None:
-        """Set the states of the drones in the engine; see the base class."""
+        """Set the states of the drones in the engine, too; see the base class."""
+        super().restore(swarm, mask)
         self.flight.engine.restore_states(swarm, mask)
 
     def show(self, swarm: Swarm, mask: np.ndarray) -> None:
@@ -145,16 +205,26 @@ class BulletDynamics(Dynamics):
 
     def add_flight(self, program: Program, decision: Decision) -> None:
         """Add all substeps, as one compiled call with the C extension; see the base class."""
-        port, drones = self.flight.engine.port, decision.drones
+        drones, engine = decision.drones, self.flight.engine
         # C reads the arrays without strides
         assert all(array.flags.c_contiguous for array in (*drones.swarm, drones.alive))
+        blocks = Blocks.of(drones, decision.cascade, drones.alive.size)
+        pull = Pull(
+            port=engine.port,
+            velocity=engine.velocity,
+            omega=engine.omega,
+            wrenches=Wrenches(*np.zeros((2, *drones.alive.shape, 3))),
+            flying=np.zeros(drones.alive.shape, dtype=bool),
+            is_mean=self.flight.contacts != "bullet",
+            near_ground=self._near_ground,
+        )
+        flight = (decision, self.contact, blocks, self.cables, pull)
         if self.flight.contacts == "bullet":
-            program.callback(lambda: self._fly_in_engine(decision))
-        elif port is None:
-            program.callback(lambda: self._fly_by_calls(decision))
+            program.callback(lambda: self._fly_in_engine(*flight))
+        elif pull.port is None:
+            program.callback(lambda: self._fly_by_calls(*flight))
         else:
-            engine = (port, self._near_ground)
-            program.call(advance_bullet, decision, self.contact, self._scratch, *engine)
+            program.call(advance_bullet, *flight)
 
     def touched(self) -> Contacts:
         """Return the contacts of the last decision; see the base class."""
@@ -163,53 +233,69 @@ class BulletDynamics(Dynamics):
     def _add_surface(self, program: Program, drones: DroneArrays, surface: np.ndarray) -> None:
         """Add nothing: the surface is sampled in every substep."""
 
-    def _fly_by_calls(self, decision: Decision) -> None:
+    def _fly_by_calls(
+        self,
+        decision: Decision,
+        contact: ContactState,
+        blocks: Blocks,
+        cables: Cables,
+        pull: Pull,
+    ) -> None:
         """Fly all substeps through the engine's own calls."""
-        engine, contact, driven = self.flight.engine, self.contact, self._scratch.driven
-        drones, step = decision.drones, decision.step
-        _choose_driven(drones.alive, contact, driven)
-        for piece in range(step.substeps):
-            # Contacts need the states before the substep, and where obstacles are then
-            save_all_start_states(contact, drones.swarm)
-            place_obstacles(contact, piece, step)
-            self._advance_once(decision)
+        engine, swarm = self.flight.engine, decision.drones.swarm
+        for piece in range(decision.step.substeps):
+            place_obstacles(contact, piece, decision.step)
+            self._advance_once(decision, contact, blocks, cables, pull, piece)
+            engine.read_poses(swarm, pull.flying)
             # States that contacts changed go back to the engine
-            if step_all_contacts(contact, drones, piece, step):
-                engine.write_states(drones.swarm, contact.changed)
-                _choose_driven(drones.alive, contact, driven)
+            if step_and_hold(decision, contact, cables, piece):
+                engine.write_states(swarm, contact.changed)
 
-    def _advance_once(self, decision: Decision) -> None:
-        """Fly one substep of the driven drones through the engine's own calls."""
-        engine, swarm, scratch = self.flight.engine, decision.drones.swarm, self._scratch
+    def _advance_once(
+        self,
+        decision: Decision,
+        contact: ContactState,
+        blocks: Blocks,
+        cables: Cables,
+        pull: Pull,
+        piece: int,
+    ) -> None:
+        """Fly one substep, up to the engine's step, through the engine's own calls."""
+        engine, drones = self.flight.engine, decision.drones
         # The ground effect needs the present height above the surface
-        if self._near_ground:
-            decision.air.surface[:] = engine.surface_below(swarm.position, scratch.driven)
-        drive(decision, scratch)
-        # Sleeping drones are not integrated
-        choose_flying(decision.drones, self.contact, decision.step.dt, scratch)
-        engine.apply_wrenches(*scratch.wrenches, scratch.flying)
+        if pull.near_ground:
+            flying = drones.alive & ~contact.stopped
+            decision.air.surface[:] = engine.surface_below(drones.swarm.position, flying)
+        fly_ahead(decision, contact, blocks, cables, pull._replace(port=None), piece)
+        engine.apply_wrenches(*pull.wrenches, pull.flying)
         engine.step()
-        engine.read_states(swarm, scratch.flying)
 
-    def _fly_in_engine(self, decision: Decision) -> None:
+    def _fly_in_engine(
+        self,
+        decision: Decision,
+        contact: ContactState,
+        blocks: Blocks,
+        cables: Cables,
+        pull: Pull,
+    ) -> None:
         """Fly with Bullet's own contacts, substep by substep."""
         engine, (swarm, alive, _), step = self.flight.engine, decision.drones, decision.step
-        before, after = self.contact.before, self.contact.after
+        before, after = contact.before, contact.after
         turns = engine.scenery.quaternion[:, : before.shape[1]]
         has_bodies = len(engine.scenery.bodies.reach) > 0
-        moving, flying = bool((before != after).any()), np.any(alive, axis=1)
-        turning = bool(self.contact.turns.rotation.any())
-        self._scratch.driven[:] = alive
+        moving, worlds = bool((before != after).any()), np.any(alive, axis=1)
+        turning = bool(contact.turns.rotation.any())
         touched = []
         for piece in range(step.substeps):
             # Bullet's contacts are discrete in time, so obstacles move once a substep
             if moving:
                 share = (piece + 1) / step.substeps
-                engine.set_obstacles(before + share * (after - before), turns, flying)
+                engine.set_obstacles(before + share * (after - before), turns, worlds)
             if has_bodies or turning:
-                place_obstacles(self.contact, piece + 1, step)
+                place_obstacles(contact, piece + 1, step)
                 engine.show_obstacles()
-            self._advance_once(decision)
+            self._advance_once(decision, contact, blocks, cables, pull, piece)
+            engine.read_states(swarm, pull.flying)
             touched.append(engine.contacts(swarm, step.dt))
         # One list of contacts for the whole decision
         columns = [np.concatenate(column) for column in zip(*touched, strict=True)]

@@ -97,6 +97,73 @@ def _mark(
         blocks.flown[b] = is_block(blocks, b)
 
 
+@func
+def start_worlds(decision: Decision, blocks: Blocks, first: int, last: int) -> None:
+    """Prepare the work arrays of the worlds from `first` to before `last` for a decision."""
+    drones = decision.drones
+    # Constant over the substeps
+    for w in range(first, last):
+        lag_stages(drones.parameters, w, decision.step.dt, blocks.decay[w - first])
+    if drones.alive.size >= FEWEST:
+        drone = first * drones.alive.shape[1]
+        pack_blocks(blocks, decision.air, drone)
+        pack_steering(blocks.steering, decision.setpoints, drone)
+
+
+@func
+def fly_worlds(
+    decision: Decision,
+    contact: ContactState,
+    blocks: Blocks,
+    cables: Cables,
+    first: int,
+    last: int,
+    substep: int,
+) -> None:
+    """Fly one substep of the worlds from `first` to before `last`, without contacts.
+
+    Args:
+        decision: Inputs of the decision.
+        contact: State of the contact solver, which keeps the state at the begin of the substep.
+        blocks: Work arrays of these worlds.
+        cables: Cables between the bodies.
+        first: The first world.
+        last: The world after the last one.
+        substep: Index of the substep in the decision.
+    """
+    drones, setpoints, cascade = decision.drones, decision.setpoints, decision.cascade
+    air, step = decision.air, decision.step
+    swarm, alive, parameters = drones.swarm, drones.alive, drones.parameters
+    dt = step.dt
+    num_drones = alive.shape[1]
+    leeway = LIST_SKIN if step.substeps > 1 else 0.0
+    _mark(drones, contact, blocks, cables.is_tied, first, last, dt)
+    # Wakes and commands of all drones are computed before any drone moves
+    if num_drones > 1:
+        sum_wakes(swarm, alive, parameters, first, last, substep > 0, leeway, blocks.wakes)
+    for w in range(first, last):
+        save_start_state(contact, swarm, w)
+        for i in range(num_drones):
+            if alive[w, i] and not contact.stopped[w, i]:
+                drone = (w - first) * num_drones + i
+                command = blocks.command[w - first, i]
+                if not is_steered(blocks, drone) and parameters[w, i].num_rotors > 0:
+                    command_rotors(cascade, setpoints, swarm, w, i, dt, air.gravity, command)
+
+    # From here on drones do not interact until contacts are resolved
+    for b in range(blocks.packed.shape[0]):
+        if blocks.flown[b]:
+            fly_block(blocks, first * num_drones, b, air.gravity, dt)
+    for w in range(first, last):
+        for i in range(num_drones):
+            moved = blocks.together[(w - first) * num_drones + i] or cables.is_tied[w, i]
+            if alive[w, i] and not contact.stopped[w, i] and not moved:
+                _fly_alone(decision, contact, blocks, first, w, i)
+
+        if cables.num_groups[w] > 0:
+            fly_tied(decision, blocks, cables, contact, w, first)
+
+
 @kernel
 def advance_rigid_body(
     decision: Decision, contact: ContactState, blocks: Blocks, cables: Cables
@@ -111,51 +178,14 @@ def advance_rigid_body(
     """
     decision, contact, blocks = in_memory(decision), in_memory(contact), in_memory(blocks)
     cables = in_memory(cables)
-    drones, setpoints, cascade = decision.drones, decision.setpoints, decision.cascade
-    air, step = decision.air, decision.step
-    swarm, alive, parameters = drones.swarm, drones.alive, drones.parameters
-    dt = step.dt
-    num_drones = alive.shape[1]
+    drones, step = decision.drones, decision.step
     # Drones of a group of worlds share blocks
     worlds = blocks.command.shape[0]
-    leeway = LIST_SKIN if step.substeps > 1 else 0.0
-    for first in range(0, alive.shape[0], worlds):
-        last = min(first + worlds, alive.shape[0])
-        # Constant over the substeps
-        for w in range(first, last):
-            lag_stages(parameters, w, dt, blocks.decay[w - first])
-        if alive.size >= FEWEST:
-            pack_blocks(blocks, air, first * num_drones)
-            pack_steering(blocks.steering, setpoints, first * num_drones)
+    for first in range(0, drones.alive.shape[0], worlds):
+        last = min(first + worlds, drones.alive.shape[0])
+        start_worlds(decision, blocks, first, last)
         for substep in range(step.substeps):
-            _mark(drones, contact, blocks, cables.is_tied, first, last, dt)
-            # Wakes and commands of all drones are computed before any drone moves
-            if num_drones > 1:
-                sum_wakes(swarm, alive, parameters, first, last, substep > 0, leeway, blocks.wakes)
-            for w in range(first, last):
-                save_start_state(contact, swarm, w)
-                for i in range(num_drones):
-                    if alive[w, i] and not contact.stopped[w, i]:
-                        drone = (w - first) * num_drones + i
-                        command = blocks.command[w - first, i]
-                        if not is_steered(blocks, drone) and parameters[w, i].num_rotors > 0:
-                            command_rotors(
-                                cascade, setpoints, swarm, w, i, dt, air.gravity, command
-                            )
-
-            # From here on drones do not interact until contacts are resolved
-            for b in range(blocks.packed.shape[0]):
-                if blocks.flown[b]:
-                    fly_block(blocks, first * num_drones, b, air.gravity, dt)
-            for w in range(first, last):
-                for i in range(num_drones):
-                    moved = blocks.together[(w - first) * num_drones + i] or cables.is_tied[w, i]
-                    if alive[w, i] and not contact.stopped[w, i] and not moved:
-                        _fly_alone(decision, contact, blocks, first, w, i)
-
-                if cables.num_groups[w] > 0:
-                    fly_tied(decision, blocks, cables, contact, w, first)
-
+            fly_worlds(decision, contact, blocks, cables, first, last, substep)
             for w in range(first, last):
                 hit = step_contacts(contact, drones, w, substep, step)
                 if hit and cables.num_groups[w] > 0:

@@ -108,7 +108,8 @@ class EnginePort(NamedTuple):
         write: The extension's function `batch_write`.
         rays: The extension's function `batch_rays`.
         place: (W, N, 3) positions from Bullet, in its frame, m.
-        omega: (W, N, 3) angular velocities from Bullet, world axes, rad/s.
+        velocity: (W, N, 3) velocities in Bullet, world axes, m/s.
+        omega: (W, N, 3) angular velocities in Bullet, world axes, rad/s.
         offset: (W, 1, 3) origins of the tiles, m.
         obstacle_radius: (K,) radii of the obstacles' bounding spheres, m.
         city_grid: Pieces of the city layouts, and the present layout of each world.
@@ -121,6 +122,7 @@ class EnginePort(NamedTuple):
     write: Callable[..., None]
     rays: Callable[..., None]
     place: np.ndarray
+    velocity: np.ndarray
     omega: np.ndarray
     offset: np.ndarray
     obstacle_radius: np.ndarray
@@ -173,13 +175,13 @@ def _cast_down(port: EnginePort, position: np.ndarray, surface: np.ndarray, cove
 
 @kernel
 def substep(port: EnginePort, wrenches: Wrenches, mask: np.ndarray, swarm: Swarm) -> None:
-    """Run `Engine.apply_wrenches`, `Engine.step` and `Engine.read_states` in one call.
+    """Run `Engine.apply_wrenches`, `Engine.step` and `Engine.read_poses` in one call.
 
     Args:
         port: Port of the engine.
         wrenches: Forces and torques on all drones.
         mask: (W, N) bool, drones that fly.
-        swarm: State of all drones; positions, attitudes and velocities are written.
+        swarm: State of all drones; positions and attitudes are written.
     """
     # C reads and writes the arrays in place
     port.substep(
@@ -189,11 +191,11 @@ def substep(port: EnginePort, wrenches: Wrenches, mask: np.ndarray, swarm: Swarm
         wrenches.torque.ctypes,
         port.place.ctypes,
         swarm.quaternion.ctypes,
-        swarm.velocity.ctypes,
+        port.velocity.ctypes,
         port.omega.ctypes,
     )
     # Convert to the frame of each world
-    localise(port.place, port.offset, port.omega, mask, swarm)
+    localise(port.place, port.offset, mask, swarm)
 
 
 @kernel
@@ -206,13 +208,13 @@ def write_states(port: EnginePort, swarm: Swarm, mask: np.ndarray) -> None:
         mask: (W, N) bool, drones to set.
     """
     # Convert to Bullet's frame
-    globalise(port.place, port.offset, port.omega, mask, swarm)
+    globalise(port.place, port.offset, port.velocity, port.omega, mask, swarm)
     port.write(
         port.session,
         mask.ctypes,
         port.place.ctypes,
         swarm.quaternion.ctypes,
-        swarm.velocity.ctypes,
+        port.velocity.ctypes,
         port.omega.ctypes,
     )
 

@@ -30,7 +30,7 @@ from bulletuav.engine.drones import require_loadable
 from bulletuav.engine.in_bullet import InBullet, make_in_bullet
 from bulletuav.engine.parking import PARKING_HEIGHT, parking_places
 from bulletuav.engine.queries import EngineQueries
-from bulletuav.engine.tiles import globalise, localise, tile_offset
+from bulletuav.engine.tiles import globalise, localise, localise_velocities, tile_offset
 from bulletuav.engine.visual_scene import ScenePoses
 from bulletuav.errors import find_choice, finite
 from bulletuav.geometry.obstacle import MAX_FRICTION, Obstacle
@@ -59,7 +59,8 @@ class Engine(EngineQueries):
     Attributes:
         dt: Duration of a substep, s.
         first_world: Index of the first tile.
-        omega: (W, N, 3) last angular velocities from Bullet, world axes, rad/s.
+        velocity: (W, N, 3) velocities of the drones in Bullet, world axes, m/s.
+        omega: (W, N, 3) angular velocities of the drones in Bullet, world axes, rad/s.
         bodies: (W,) uint64, a hash of the bodies added by `add_body` in each world; 0 for none.
         closed: True after `close`.
     """
@@ -126,7 +127,7 @@ class Engine(EngineQueries):
         )
         # Positions from Bullet, at which forces act
         self._place = self._contents.parking.copy()
-        self.omega = np.zeros((*self.shape, 3))
+        self.velocity, self.omega = np.zeros((2, *self.shape, 3))
         # Drones whose bodies are not parked: none before they are created
         self._out = np.zeros(self.shape, dtype=bool)
         self.closed = False
@@ -206,6 +207,7 @@ class Engine(EngineQueries):
             write=library.batch_write,
             rays=library.batch_rays,
             place=self._place,
+            velocity=self.velocity,
             omega=self.omega,
             offset=self._offset,
             obstacle_radius=self.obstacle_radius,
@@ -397,19 +399,23 @@ class Engine(EngineQueries):
             mask: (W, N) bool, drones to set.
         """
         self._out |= mask
-        globalise(self._place, self._offset, self.omega, mask, swarm)
-        self._bullet.calls.write(mask, self._place, swarm.quaternion, swarm.velocity, self.omega)
+        globalise(self._place, self._offset, self.velocity, self.omega, mask, swarm)
+        self._write(swarm, mask)
 
     def restore_states(self, swarm: Swarm, mask: np.ndarray) -> None:
         """Set poses and velocities of drones to earlier ones from Bullet, equal to the bit.
 
         Args:
-            swarm: The states; angular velocities are taken from `omega`.
+            swarm: The poses; velocities are those in `velocity` and `omega`.
             mask: (W, N) bool, drones to set.
         """
         self._out |= mask
         self._place[mask] = (swarm.position + self._offset)[mask]
-        self._bullet.calls.write(mask, self._place, swarm.quaternion, swarm.velocity, self.omega)
+        self._write(swarm, mask)
+
+    def _write(self, swarm: Swarm, mask: np.ndarray) -> None:
+        """Set poses and velocities of drones in Bullet."""
+        self._bullet.calls.write(mask, self._place, swarm.quaternion, self.velocity, self.omega)
 
     def set_poses(self, swarm: Swarm, mask: np.ndarray) -> None:
         """Set poses of drones' bodies for rendering; velocities and contacts do not change.
@@ -452,15 +458,20 @@ class Engine(EngineQueries):
         bodies = self._bullet.bodies.drone[mask]
         self._bullet.calls.filter(bodies, DRONE_GROUP if meets else 0, meets)
 
-    def read_states(self, swarm: Swarm, mask: np.ndarray) -> None:
-        """Read poses and velocities of drones from Bullet into a swarm; rotor speeds stay.
+    def read_poses(self, swarm: Swarm, mask: np.ndarray) -> None:
+        """Read poses of drones from Bullet into a swarm, and velocities into the engine's arrays.
 
         Args:
-            swarm: State of all drones; written.
+            swarm: State of all drones; positions and attitudes are written.
             mask: (W, N) bool, drones to read.
         """
-        self._bullet.calls.read(mask, self._place, swarm.quaternion, swarm.velocity, self.omega)
-        localise(self._place, self._offset, self.omega, mask, swarm)
+        self._bullet.calls.read(mask, self._place, swarm.quaternion, self.velocity, self.omega)
+        localise(self._place, self._offset, mask, swarm)
+
+    def read_states(self, swarm: Swarm, mask: np.ndarray) -> None:
+        """Read poses and velocities of drones from Bullet into a swarm; rotor speeds stay."""
+        self.read_poses(swarm, mask)
+        localise_velocities(self.velocity, self.omega, mask, swarm)
 
     def apply_wrenches(self, force: np.ndarray, torque: np.ndarray, mask: np.ndarray) -> None:
         """Apply a force and a torque to each drone in the next step.

@@ -37,38 +37,58 @@ def tile_offset(world: int) -> np.ndarray:
 
 
 @kernel
-def localise(
-    place: np.ndarray, offset: np.ndarray, omega: np.ndarray, mask: np.ndarray, swarm: Swarm
-) -> None:
-    """Convert positions and angular velocities from Bullet's frame, and write them into a swarm.
+def localise(place: np.ndarray, offset: np.ndarray, mask: np.ndarray, swarm: Swarm) -> None:
+    """Convert positions from Bullet's frame, and write them into a swarm.
 
     Args:
         place: (W, N, 3) positions in Bullet's frame, m.
         offset: (W, 1, 3) origins of the tiles, m.
-        omega: (W, N, 3) angular velocities, world axes, rad/s.
         mask: (W, N) bool, drones to write.
-        swarm: Swarm with up-to-date quaternions; positions and body rates are written.
+        swarm: The swarm.
     """
     for w in range(mask.shape[0]):
         for i in range(mask.shape[1]):
             if mask[w, i]:
                 for k in range(3):
                     swarm.position[w, i, k] = place[w, i, k] - offset[w, 0, k]
-                # Bullet's angular velocities are in world axes
+
+
+@kernel
+def localise_velocities(
+    velocity: np.ndarray, omega: np.ndarray, mask: np.ndarray, swarm: Swarm
+) -> None:
+    """Convert velocities from Bullet, and write them into a swarm.
+
+    Args:
+        velocity: (W, N, 3) velocities, world axes, m/s.
+        omega: (W, N, 3) angular velocities, world axes, rad/s.
+        mask: (W, N) bool, drones to write.
+        swarm: Swarm with up-to-date quaternions; velocities and body rates are written.
+    """
+    for w in range(mask.shape[0]):
+        for i in range(mask.shape[1]):
+            if mask[w, i]:
                 rates = to_body(quat4(swarm.quaternion, w, i), vec3(omega, w, i))
                 for k in range(3):
+                    swarm.velocity[w, i, k] = velocity[w, i, k]
                     swarm.rates[w, i, k] = rates[k]
 
 
 @kernel
 def globalise(
-    place: np.ndarray, offset: np.ndarray, omega: np.ndarray, mask: np.ndarray, swarm: Swarm
+    place: np.ndarray,
+    offset: np.ndarray,
+    velocity: np.ndarray,
+    omega: np.ndarray,
+    mask: np.ndarray,
+    swarm: Swarm,
 ) -> None:
-    """Convert positions and body rates of a swarm to Bullet's frame: the inverse of `localise`.
+    """Convert positions and velocities of a swarm to Bullet's frame.
 
     Args:
         place: (W, N, 3) positions in Bullet's frame, m; written.
         offset: (W, 1, 3) origins of the tiles, m.
+        velocity: (W, N, 3) velocities, world axes, m/s; written.
         omega: (W, N, 3) angular velocities, world axes, rad/s; written.
         mask: (W, N) bool, drones to write.
         swarm: The states.
@@ -80,6 +100,7 @@ def globalise(
                 spin = to_world(quat4(swarm.quaternion, w, i), vec3(swarm.rates, w, i))
                 for k in range(3):
                     place[w, i, k] = swarm.position[w, i, k] + offset[w, 0, k]
+                    velocity[w, i, k] = swarm.velocity[w, i, k]
                     omega[w, i, k] = spin[k]
 
 

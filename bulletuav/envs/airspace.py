@@ -362,8 +362,8 @@ class Airspace(Environment):
         """Attach a cable between two drones or loads, or from one to a fixed point in the world.
 
         The cable is massless and inextensible, pulls only, and has no shape: it passes through
-        bodies. It needs dynamics "rigid_body". See `bulletuav.vehicle.load.make_load` for loads,
-        and `cable_tension` for the tensions.
+        bodies. It needs dynamics "rigid_body" or "bullet". See `bulletuav.vehicle.load.make_load`
+        for loads, and `cable_tension` for the tensions.
 
         Args:
             body: Index of a drone or load.

@@ -14,6 +14,7 @@ from bulletuav.dynamics.setpoints import CONVERTED
 from bulletuav.engine.parking import PARKING_HEIGHT
 from bulletuav.engine.tiles import TILE_PITCH
 from bulletuav.envs.agents import in_c
+from bulletuav.envs.cables import require_cables
 from bulletuav.envs.options import EnvOptions, check_names
 from bulletuav.envs.randomization import Randomization, known_uncertainties
 from bulletuav.envs.resolve_options import load_airframes, make_tuples
@@ -114,11 +115,8 @@ def airspace_options(
     make_tuples(values)
     values["airframe"] = load_airframes(airframe, len(places))
     dynamics = find_dynamics(values["dynamics"])
-    if any(one.is_load for one in values["airframe"]) and not dynamics.feels_cables:
-        raise ValueError(
-            f"dynamics {dynamics.name!r} moves drones only, and there is a load: use dynamics "
-            f"'rigid_body'"
-        )
+    if any(one.is_load for one in values["airframe"]):
+        require_cables(dynamics, values.get("contacts"), "there is a load")
     values.setdefault("max_speed", min(one.max_speed for one in values["airframe"]))
     listed = sensors if isinstance(sensors, list | tuple) else (sensors,)
     all_sensors = known_sensors(one for one in listed if not isinstance(one, str))

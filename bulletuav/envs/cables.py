@@ -27,6 +27,28 @@ Ends = tuple[tuple[int, int], np.ndarray]
 """Bodies at both ends, and the ends (2, 3) in their axes or in the world, m"""
 
 
+def require_cables(dynamics: Dynamics | type[Dynamics], contacts: str | None, reason: str) -> None:
+    """Check that a dynamics moves loads and has cables.
+
+    Args:
+        dynamics: The dynamics.
+        contacts: Response to contacts; None for the default.
+        reason: Why cables are needed, for the message.
+
+    Raises:
+        ValueError: If it does not, or if Bullet's contacts would move bodies against their cables.
+    """
+    if not dynamics.feels_cables:
+        raise ValueError(
+            f"dynamics {dynamics.name!r} has no cables and loads, but {reason}: use dynamics "
+            f"'rigid_body' or 'bullet'"
+        )
+    if contacts == "bullet":
+        raise ValueError(
+            f"contacts 'bullet' ignore cables and loads, but {reason}: use contacts 'impulse'"
+        )
+
+
 def check_ends(
     dynamics: Dynamics, body: Any, other: Any, point: Sequence[float], other_point: Sequence[float]
 ) -> Ends:
@@ -36,11 +58,7 @@ def check_ends(
         ValueError: If the dynamics has no cables, there is no such body, both ends have the same
             body, or a coordinate is invalid.
     """
-    if not dynamics.feels_cables:
-        raise ValueError(
-            f"dynamics {dynamics.name!r} has no cables: use dynamics 'rigid_body', which solves "
-            f"their tensions together with the motion of the bodies"
-        )
+    require_cables(dynamics, dynamics.flight.contacts, "a cable is attached")
     last = dynamics.flight.parameters.shape[1] - 1
     one = as_int("body of a cable", body, 0, last)
     two = WORLD if other is None else as_int("other body of a cable", other, 0, last)

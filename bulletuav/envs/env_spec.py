@@ -13,6 +13,7 @@ from bulletuav.control.actions.messages import add_message
 from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.dynamics import find_dynamics
 from bulletuav.envs.bodies import count_bodies
+from bulletuav.envs.cables import require_cables
 from bulletuav.envs.global_state import GlobalState
 from bulletuav.envs.options import EnvOptions, check_names
 from bulletuav.envs.parts import sensor_setup
@@ -97,12 +98,9 @@ class EnvSpec:
         self._check_absent(kind)
         self.task = _make_task(kind, config, self.options)
         dynamics = find_dynamics(self.options.dynamics)
-        needs_cables = kind.needs_cables or self.task.loads is not None
-        if needs_cables and not dynamics.feels_cables:
-            raise ValueError(
-                f"dynamics {dynamics.name!r} has no cables, and task {self.task.name!r} has loads: "
-                f"use dynamics 'rigid_body'"
-            )
+        if kind.needs_cables or self.task.loads is not None:
+            loaded = f"task {self.task.name!r} has loads"
+            require_cables(dynamics, self.options.contacts, loaded)
         places = (getattr(self.task.config, name, None) for name in PLACES)
         given = read_given_positions(self.task, *places)
         self.given = DRAWN if given.is_empty else GivenStart(given)

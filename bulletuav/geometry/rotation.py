@@ -134,6 +134,16 @@ def exp_map(v: Vec3Like) -> Quat4:
 
 
 @func
+def log_map(q: Quat4Like) -> Vec3:
+    """Return the rotation vector (at most pi long) of a unit quaternion; inverse of `exp_map`."""
+    length = math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2])
+    # q and -q are the same rotation
+    side = 1.0 if q[3] >= 0.0 else -1.0
+    scale = 2.0 * atan2(length, side * q[3]) / length if length > 1e-12 else 2.0
+    return side * scale * q[0], side * scale * q[1], side * scale * q[2]
+
+
+@func
 def from_euler(roll: float, pitch: float, yaw: float) -> Quat4:
     """Return the quaternion of Euler angles in the aerospace order (yaw, pitch, roll).
 

@@ -18,6 +18,7 @@ from bulletuav.vehicle.load import make_load
 
 GRAVITY = 9.80665
 HZ = 240
+BOTH = ("rigid_body", "bullet")
 ANCHOR = np.array((0.0, 0.0, 10.0))
 
 
@@ -27,8 +28,8 @@ def ball(mass, radius=0.01):
 
 
 def make(position, airframe, **options):
-    """Make an airspace in `rigid_body`."""
-    return Airspace(position, airframe=airframe, dynamics="rigid_body", **options)
+    """Make an airspace, by default in `rigid_body`."""
+    return Airspace(position, airframe=airframe, **{"dynamics": "rigid_body", **options})
 
 
 def swung(angle, length=1.0):
@@ -69,7 +70,8 @@ def test_pendulum_follows_the_reference_solution(angle):
         assert abs(np.linalg.norm(there) - 1.0) < 1e-9
 
 
-def test_double_pendulum_follows_the_reference_solution():
+@pytest.mark.parametrize("dynamics", BOTH)
+def test_double_pendulum_follows_the_reference_solution(dynamics):
     (m1, m2), (l1, l2), start = (0.5, 0.3), (1.0, 0.7), (0.7, -0.4)
 
     def slope(_, y):
@@ -83,7 +85,8 @@ def test_double_pendulum_follows_the_reference_solution():
         return [w1, w2, *np.linalg.solve(matrix, right)]
 
     upper = ANCHOR + swung(start[0], l1)
-    airspace = make([upper, upper + swung(start[1], l2)], [ball(m1), ball(m2)])
+    places = [upper, upper + swung(start[1], l2)]
+    airspace = make(places, [ball(m1), ball(m2)], dynamics=dynamics)
     airspace.attach_cable(0, None, l1, other_point=ANCHOR)
     airspace.attach_cable(1, 0, l2)
     exact = solution(slope, [*start, 0.0, 0.0])
@@ -320,9 +323,11 @@ def test_detached_load_falls_and_rests_on_the_ground():
         airspace.detach_cable(cable)
 
 
-def test_load_swings_against_a_building_and_stays_outside():
+@pytest.mark.parametrize("dynamics", BOTH)
+def test_load_swings_against_a_building_and_stays_outside(dynamics):
     wall = Obstacle("box", (0.2, 4.0, 4.0))
-    airspace = make([ANCHOR + swung(1.0)], ball(0.5, 0.05), obstacles=[wall])
+    start = [ANCHOR + swung(1.0)]
+    airspace = make(start, ball(0.5, 0.05), obstacles=[wall], dynamics=dynamics)
     airspace.place_obstacle(0, ANCHOR + (-0.2, 0.0, -1.0))
     airspace.attach_cable(0, None, 1.0, other_point=ANCHOR)
     touched = False
@@ -348,9 +353,12 @@ def test_compiled_flight_equals_plain_python():
         assert np.array_equal(compiled, plain)
 
 
-def test_snapshot_resumes_a_flight_with_cables():
+@pytest.mark.parametrize("dynamics", BOTH)
+def test_snapshot_resumes_a_flight_with_cables(dynamics):
+    bodies = [ANCHOR, ANCHOR + swung(1.0)], ["hummingbird", ball(0.1)]
+
     def start():
-        airspace = make([ANCHOR, ANCHOR + swung(1.0)], ["hummingbird", ball(0.1)])
+        airspace = make(*bodies, dynamics=dynamics)
         airspace.attach_cable(0, 1, 1.2)
         return airspace
 
@@ -376,7 +384,7 @@ def test_snapshot_resumes_a_flight_with_cables():
         airspace.step()
     assert airspace.state_hash() == later
     with pytest.raises(ValueError, match="cable"):
-        make([ANCHOR, ANCHOR + swung(1.0)], ["hummingbird", ball(0.1)]).load_state(saved)
+        make(*bodies, dynamics=dynamics).load_state(saved)
 
 
 def test_groups_fly_alone_as_together():
@@ -488,8 +496,11 @@ def test_tasks_refuse_loads():
 
 
 def test_other_dynamics_refuse_cables_and_loads():
-    airspace = Airspace([ANCHOR, (2.0, 0.0, 5.0)], dynamics="point_mass")
-    with pytest.raises(ValueError, match="use dynamics 'rigid_body'"):
+    places = [ANCHOR, (2.0, 0.0, 5.0)]
+    airspace = Airspace(places, dynamics="point_mass")
+    with pytest.raises(ValueError, match="use dynamics 'rigid_body' or 'bullet'"):
         airspace.attach_cable(0, 1)
     with pytest.raises(ValueError, match="there is a load: use dynamics 'rigid_body'"):
-        Airspace([ANCHOR, (2.0, 0.0, 5.0)], ["cf2x", ball(0.1)], dynamics="bullet")
+        Airspace(places, ["cf2x", ball(0.1)], dynamics="point_mass")
+    with pytest.raises(ValueError, match="there is a load: use contacts 'impulse'"):
+        Airspace(places, ["cf2x", ball(0.1)], dynamics="bullet", contacts="bullet")

@@ -46,6 +46,26 @@ def test_exponential_of_small_angles(angle):
     )
 
 
+@given(vectors)
+def test_logarithm_is_the_inverse_of_the_exponential(v):
+    expected = Rotation.from_rotvec(v).as_rotvec()
+    q = np.array(rotation.exp_map(v))
+    for same in (q, -q):  # two signs, one rotation
+        back = rotation.log_map(same)
+        assert np.linalg.norm(back) <= np.pi + 1e-12
+        np.testing.assert_allclose(
+            Rotation.from_rotvec(back).as_matrix(),
+            Rotation.from_rotvec(expected).as_matrix(),
+            atol=1e-9,
+        )
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-13, 1e-9, 1e-6])
+def test_logarithm_of_small_angles(angle):
+    back = rotation.log_map((0.0, angle / 2, 0.0, 1.0))
+    np.testing.assert_allclose(back, (0.0, angle, 0.0), rtol=1e-12)
+
+
 @given(st.floats(-3, 3), st.floats(-1.5, 1.5), st.floats(-3, 3))
 def test_euler_angles_agree_with_scipy(roll, pitch, yaw):
     q = rotation.from_euler(roll, pitch, yaw)
