@@ -42,11 +42,12 @@ from bulletuav.vehicle.swarm import Contacts, DroneArrays, Swarm
 from bulletuav.vehicle.wrench import Wrenches
 
 
-class Pull(NamedTuple):
-    """What makes Bullet's bodies follow the flight of W worlds of N drones.
+class BulletFlight(NamedTuple):
+    """Work arrays of the flight of W worlds of N drones in Bullet.
 
     Attributes:
-        port: Port of the engine; None without the C extension.
+        blocks: Work arrays of the flight of `rigid_body`, for all worlds.
+        cables: Cables between the bodies.
         velocity: (W, N, 3) velocities of the drones in Bullet, world axes, m/s.
         omega: (W, N, 3) angular velocities of the drones in Bullet, world axes, rad/s.
         wrenches: Forces and torques that Bullet applies in a substep.
@@ -55,7 +56,8 @@ class Pull(NamedTuple):
         near_ground: Whether the ground effect needs the surface below.
     """
 
-    port: EnginePort | None
+    blocks: Blocks
+    cables: Cables
     velocity: np.ndarray
     omega: np.ndarray
     wrenches: Wrenches
@@ -73,51 +75,42 @@ def _choose_flying(drones: DroneArrays, contact: ContactState, flying: np.ndarra
 
 
 @kernel
-def fly_ahead(
-    decision: Decision,
-    contact: ContactState,
-    blocks: Blocks,
-    cables: Cables,
-    pull: Pull,
-    piece: int,
-) -> None:
+def fly_ahead(decision: Decision, contact: ContactState, flight: BulletFlight, piece: int) -> None:
     """Fly one substep without contacts, and write the wrenches with which Bullet does the same.
 
     Args:
         decision: Inputs of the decision; the swarm is at the end of the substep afterwards.
         contact: State of the contact solver, which keeps the state at the begin of the substep.
-        blocks: Work arrays of all worlds.
-        cables: Cables between the bodies.
-        pull: The wrenches, and the drones that Bullet moves; written.
+        flight: Work arrays; the wrenches, and the drones that Bullet moves, are written.
         piece: Index of the substep in the decision.
     """
     decision, contact = in_memory(decision), in_memory(contact)
-    blocks, cables = in_memory(blocks), in_memory(cables)
+    blocks, cables = in_memory(flight.blocks), in_memory(flight.cables)
     drones, dt = decision.drones, decision.step.dt
     num_worlds, num_drones = drones.alive.shape
     if piece == 0:
         start_worlds(decision, blocks, 0, num_worlds)
-    elif pull.near_ground and drones.alive.size >= FEWEST:
+    elif flight.near_ground and drones.alive.size >= FEWEST:
         pack_surface(blocks, decision.air, 0)
     fly_worlds(decision, contact, blocks, cables, 0, num_worlds, piece)
-    _choose_flying(drones, contact, pull.flying)
-    swarm, start, wrenches = drones.swarm, contact.start, pull.wrenches
+    _choose_flying(drones, contact, flight.flying)
+    swarm, start, wrenches = drones.swarm, contact.start, flight.wrenches
     for w in range(num_worlds):
         for i in range(num_drones):
-            pull.flying[w, i] = pull.flying[w, i] and not contact.asleep[w, i]
-            if pull.flying[w, i]:
+            flight.flying[w, i] = flight.flying[w, i] and not contact.asleep[w, i]
+            if flight.flying[w, i]:
                 row, inertia = drones.parameters[w, i], drones.parameters[w, i].inertia
                 before = quat4(start.quaternion, w, i)
                 # Velocities after Bullet's step, in world and body axes
                 speed, rates = vec3(swarm.velocity, w, i), vec3(swarm.rates, w, i)
-                if pull.is_mean:
+                if flight.is_mean:
                     path = minus(vec3(swarm.position, w, i), vec3(start.position, w, i))
                     speed = (path[0] / dt, path[1] / dt, path[2] / dt)
                     back = (-before[0], -before[1], -before[2], before[3])
                     turn = log_map(product(back, quat4(swarm.quaternion, w, i)))
                     rates = (turn[0] / dt, turn[1] / dt, turn[2] / dt)
-                change = minus(speed, vec3(pull.velocity, w, i))
-                spin = to_body(before, vec3(pull.omega, w, i))
+                change = minus(speed, vec3(flight.velocity, w, i))
+                spin = to_body(before, vec3(flight.omega, w, i))
                 carried = (inertia[0] * spin[0], inertia[1] * spin[1], inertia[2] * spin[2])
                 # Bullet subtracts the gyroscopic torque
                 gyroscopic = cross(spin, carried)
@@ -129,28 +122,27 @@ def fly_ahead(
 
 @allocating
 def advance_bullet(
-    decision: Decision, contact: ContactState, blocks: Blocks, cables: Cables, pull: Pull
+    decision: Decision, contact: ContactState, flight: BulletFlight, port: EnginePort
 ) -> None:
     """Fly all substeps of one decision in one call, through the C extension.
 
     Args:
         decision: Inputs of the decision; the surface of its air is written.
         contact: State of the contact solver.
-        blocks: Work arrays of all worlds.
-        cables: Cables between the bodies.
-        pull: What makes Bullet's bodies follow.
+        flight: Work arrays.
+        port: Session of the extension, and the arrays of the worlds.
     """
-    decision, contact, cables = in_memory(decision), in_memory(contact), in_memory(cables)
-    drones, step, port = decision.drones, decision.step, pull.port
+    decision, contact, flight = in_memory(decision), in_memory(contact), in_memory(flight)
+    drones, step = decision.drones, decision.step
     for piece in range(step.substeps):
-        if pull.near_ground:
+        if flight.near_ground:
             place_obstacles(contact, piece, step)
-            _choose_flying(drones, contact, pull.flying)
-            surface_below(port, drones.swarm.position, pull.flying, decision.air.surface)
-        fly_ahead(decision, contact, blocks, cables, pull, piece)
-        substep(port, pull.wrenches, pull.flying, drones.swarm)
+            _choose_flying(drones, contact, flight.flying)
+            surface_below(port, drones.swarm.position, flight.flying, decision.air.surface)
+        fly_ahead(decision, contact, flight, piece)
+        substep(port, flight.wrenches, flight.flying, drones.swarm)
         # Bullet continues from the states that contacts changed
-        if step_and_hold(decision, contact, cables, piece):
+        if step_and_hold(decision, contact, flight.cables, piece):
             write_states(port, drones.swarm, contact.changed)
 
 
@@ -208,9 +200,9 @@ class BulletDynamics(RigidBody):
         drones, engine = decision.drones, self.flight.engine
         # C reads the arrays without strides
         assert all(array.flags.c_contiguous for array in (*drones.swarm, drones.alive))
-        blocks = Blocks.of(drones, decision.cascade, drones.alive.size)
-        pull = Pull(
-            port=engine.port,
+        flight = BulletFlight(
+            blocks=Blocks.of(drones, decision.cascade, drones.alive.size),
+            cables=self.cables,
             velocity=engine.velocity,
             omega=engine.omega,
             wrenches=Wrenches(*np.zeros((2, *drones.alive.shape, 3))),
@@ -218,13 +210,13 @@ class BulletDynamics(RigidBody):
             is_mean=self.flight.contacts != "bullet",
             near_ground=self._near_ground,
         )
-        flight = (decision, self.contact, blocks, self.cables, pull)
+        port = engine.port
         if self.flight.contacts == "bullet":
-            program.callback(lambda: self._fly_in_engine(*flight))
-        elif pull.port is None:
-            program.callback(lambda: self._fly_by_calls(*flight))
+            program.callback(lambda: self._fly_in_engine(decision, flight))
+        elif port is None:
+            program.callback(lambda: self._fly_by_calls(decision, flight))
         else:
-            program.call(advance_bullet, *flight)
+            program.call(advance_bullet, decision, self.contact, flight, port)
 
     def touched(self) -> Contacts:
         """Return the contacts of the last decision; see the base class."""
@@ -233,58 +225,36 @@ class BulletDynamics(RigidBody):
     def _add_surface(self, program: Program, drones: DroneArrays, surface: np.ndarray) -> None:
         """Add nothing: the surface is sampled in every substep."""
 
-    def _fly_by_calls(
-        self,
-        decision: Decision,
-        contact: ContactState,
-        blocks: Blocks,
-        cables: Cables,
-        pull: Pull,
-    ) -> None:
+    def _fly_by_calls(self, decision: Decision, flight: BulletFlight) -> None:
         """Fly all substeps through the engine's own calls."""
-        engine, swarm = self.flight.engine, decision.drones.swarm
+        engine, contact, swarm = self.flight.engine, self.contact, decision.drones.swarm
         for piece in range(decision.step.substeps):
             place_obstacles(contact, piece, decision.step)
-            self._advance_once(decision, contact, blocks, cables, pull, piece)
-            engine.read_poses(swarm, pull.flying)
+            self._advance_once(decision, flight, piece)
+            engine.read_poses(swarm, flight.flying)
             # States that contacts changed go back to the engine
-            if step_and_hold(decision, contact, cables, piece):
+            if step_and_hold(decision, contact, flight.cables, piece):
                 engine.write_states(swarm, contact.changed)
 
-    def _advance_once(
-        self,
-        decision: Decision,
-        contact: ContactState,
-        blocks: Blocks,
-        cables: Cables,
-        pull: Pull,
-        piece: int,
-    ) -> None:
+    def _advance_once(self, decision: Decision, flight: BulletFlight, piece: int) -> None:
         """Fly one substep, up to the engine's step, through the engine's own calls."""
         engine, drones = self.flight.engine, decision.drones
         # The ground effect needs the present height above the surface
-        if pull.near_ground:
-            flying = drones.alive & ~contact.stopped
+        if flight.near_ground:
+            flying = drones.alive & ~self.contact.stopped
             decision.air.surface[:] = engine.surface_below(drones.swarm.position, flying)
-        fly_ahead(decision, contact, blocks, cables, pull._replace(port=None), piece)
-        engine.apply_wrenches(*pull.wrenches, pull.flying)
+        fly_ahead(decision, self.contact, flight, piece)
+        engine.apply_wrenches(*flight.wrenches, flight.flying)
         engine.step()
 
-    def _fly_in_engine(
-        self,
-        decision: Decision,
-        contact: ContactState,
-        blocks: Blocks,
-        cables: Cables,
-        pull: Pull,
-    ) -> None:
+    def _fly_in_engine(self, decision: Decision, flight: BulletFlight) -> None:
         """Fly with Bullet's own contacts, substep by substep."""
         engine, (swarm, alive, _), step = self.flight.engine, decision.drones, decision.step
-        before, after = contact.before, contact.after
+        before, after = self.contact.before, self.contact.after
         turns = engine.scenery.quaternion[:, : before.shape[1]]
         has_bodies = len(engine.scenery.bodies.reach) > 0
         moving, worlds = bool((before != after).any()), np.any(alive, axis=1)
-        turning = bool(contact.turns.rotation.any())
+        turning = bool(self.contact.turns.rotation.any())
         touched = []
         for piece in range(step.substeps):
             # Bullet's contacts are discrete in time, so obstacles move once a substep
@@ -292,10 +262,10 @@ class BulletDynamics(RigidBody):
                 share = (piece + 1) / step.substeps
                 engine.set_obstacles(before + share * (after - before), turns, worlds)
             if has_bodies or turning:
-                place_obstacles(contact, piece + 1, step)
+                place_obstacles(self.contact, piece + 1, step)
                 engine.show_obstacles()
-            self._advance_once(decision, contact, blocks, cables, pull, piece)
-            engine.read_states(swarm, pull.flying)
+            self._advance_once(decision, flight, piece)
+            engine.read_states(swarm, flight.flying)
             touched.append(engine.contacts(swarm, step.dt))
         # One list of contacts for the whole decision
         columns = [np.concatenate(column) for column in zip(*touched, strict=True)]

@@ -6,6 +6,8 @@ below is sampled once a decision. That is exact over level ground; past an edge 
 lags by up to one decision (at 20 m/s and 10 Hz, 2 m of flight).
 """
 
+from typing import ClassVar
+
 import numpy as np
 
 from bulletuav.compiled.kernel import func, in_memory, kernel
@@ -206,7 +208,7 @@ class RigidBody(Dynamics):
     feels_inertia = True
     feels_gravity = True
     feels_cables = True
-    contacts = ("impulse", "stop")
+    contacts: ClassVar[tuple[str, ...]] = ("impulse", "stop")
     sleeps = True
 
     def restore(self, swarm: Swarm, mask: np.ndarray) -> None:

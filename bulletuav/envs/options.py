@@ -85,8 +85,8 @@ class EnvOptions:
         max_speed: Scale of velocity actions, m/s; at most the airframe's maximum speed.
         max_climb: Limit of the vertical velocity of velocity actions, up and down, m/s; None for
             max_speed.
-        dynamics: "bullet" (Bullet's rigid bodies), "rigid_body" (the same forces, integrated by
-            RK4), "point_mass", "double_integrator" or "single_integrator"; `module:Name`, or a
+        dynamics: "bullet" (as "rigid_body", by bodies in Bullet), "rigid_body" (RK4), "point_mass",
+            "double_integrator" or "single_integrator"; `module:Name`, or a
             class derived from `bulletuav.dynamics.base.Dynamics`. The default is "bullet", or
             "rigid_body", with a warning, where PyBullet is not installed.
         observation: Names of observation blocks and of sensor readings, or block objects, which are

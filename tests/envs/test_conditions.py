@@ -130,8 +130,7 @@ def test_both_dynamics_fly_the_same_with_conditions():
         steps(airspace, 96)
         after.append(airspace.swarm.position[0].copy())
     assert np.linalg.norm(after[0] - (0, 0, 5)) > 0.5
-    # The difference is of first order in the substep
-    assert after[0] == pytest.approx(after[1], abs=0.001)
+    assert after[0] == pytest.approx(after[1], abs=1e-6)
 
 
 @pytest.mark.parametrize("dynamics", SIX)
