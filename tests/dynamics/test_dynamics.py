@@ -98,7 +98,8 @@ def test_drones_tumble_exactly_and_conserve_energy_and_momentum(make_bench, iris
     bench = tumble(make_bench, dynamics, iris_inertia)
     _, quaternion, _, rates = exact_tumble(iris_inertia)
     np.testing.assert_allclose(bench.swarm.rates[0, 0], rates, atol=1e-6)
-    np.testing.assert_allclose(bench.swarm.quaternion[0, 0], quaternion, atol=1e-6)
+    # Either sign is the same attitude
+    assert abs(bench.swarm.quaternion[0, 0] @ quaternion) == pytest.approx(1, abs=1e-12)
     assert energy(bench.swarm.rates[0, 0]) == pytest.approx(energy(TUMBLE), rel=1e-8)
     J = np.array((0.029125, 0.029125, 0.055225))
     momentum = Rotation.from_quat(bench.swarm.quaternion[0, 0]).apply(J * bench.swarm.rates[0, 0])
