@@ -22,7 +22,6 @@ def test_flights_of_fine_steps_are_those_of_the_equations(kind):
     np.testing.assert_allclose(ladder.fly(flight, "rigid_body", 960), end, atol=tolerance)
 
 
-@pytest.mark.lengthy
 def test_table_and_picture_show_all_rows(tmp_path, capsys):
     ladder.main([f"--out={tmp_path}", "--flights=1", "--rates", "120", "--rounds=1"])
     page = (tmp_path / "ladder.md").read_text()
