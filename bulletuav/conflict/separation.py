@@ -7,12 +7,28 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from numba import types
 
+from bulletuav.compiled.deferred import deferred
 from bulletuav.compiled.gather import gathered, lane_numbers, scatter, three
-from bulletuav.compiled.kernel import kernel
+from bulletuav.compiled.kernel import allocating, func, kernel
 from bulletuav.compiled.lanes import WIDTH, is_any, where
 from bulletuav.geometry.closest_approach import closest_squared_distances
-from bulletuav.geometry.rotation import minus, vec3
+from bulletuav.geometry.grid import (
+    MIN_POINTS,
+    PATHS,
+    ROUNDING,
+    WIDENING,
+    Grid,
+    cells_around,
+    fill_path_grid,
+    is_whole,
+    make_grid,
+    num_rows,
+    row_items,
+    sort_ascending,
+)
+from bulletuav.geometry.rotation import minus, point, vec3
 
 
 class Conflict(NamedTuple):
@@ -39,6 +55,106 @@ def no_conflict(shape: tuple[int, int]) -> Conflict:
     )
 
 
+@func
+def _zone_squared(zone: float) -> float:
+    """Return the squared radius of the warning zone, m^2, with a margin for rounding errors."""
+    return (1.0 + 1e-9) * zone * zone
+
+
+@deferred(types.boolean)
+@allocating
+def _fill_by_grid(
+    before: np.ndarray,
+    after: np.ndarray,
+    alive: np.ndarray,
+    w: int,
+    d_safe: float,
+    zone: float,
+    separation: np.ndarray,
+    onsets: np.ndarray,
+    nearness: np.ndarray,
+) -> bool:
+    """Write the results of world w; return False if a drone has a position that is not finite."""
+    num_drones = alive.shape[1]
+    grid = make_grid(num_drones)
+    near = np.empty(num_drones, dtype=np.int64)
+    finite = fill_path_grid(grid, before, after, PATHS, alive, w)
+    if finite:
+        paths = (before, after)
+        for i in range(num_drones):
+            separation[w, i], onsets[w, i], nearness[w, i] = np.inf, 0, 0.0
+            if alive[w, i]:
+                measured = _measure_near(grid, near, paths, w, i, d_safe, zone)
+                separation[w, i], onsets[w, i], nearness[w, i] = measured
+    return finite
+
+
+@kernel
+def _measure_near(
+    grid: Grid,
+    near: np.ndarray,
+    paths: tuple[np.ndarray, np.ndarray],
+    w: int,
+    i: int,
+    d_safe: float,
+    zone: float,
+) -> tuple[float, int, float]:
+    """Measure the separations of drone i from the drones around it, in steps of growing radius.
+
+    Args:
+        grid: Grid of the paths of world w.
+        near: (N,) work array.
+        paths: (W, N, 3) positions before and after, m.
+        w: Index of the world.
+        i: Index of the drone.
+        d_safe: Separation below which two drones are in conflict, m.
+        zone: Separation at which the warning zone starts, m.
+
+    Returns:
+        The entries of `Conflict`.
+    """
+    before, after = paths
+    here, begin, end = point(grid.place, i), vec3(before, w, i), vec3(after, w, i)
+    far = _zone_squared(zone)
+    closer = grid.reach[i] + grid.sizes[2]
+    radius = max(grid.sizes[0], (1.0 + ROUNDING) * math.sqrt(far) + closer)
+    closest = np.inf
+    count = 0
+    is_first = True
+    while True:
+        box = cells_around(grid, here, radius)
+        for row in range(num_rows(box)):
+            first, last = row_items(grid, box, row)
+            for m in range(first, last):
+                j = grid.item[m]
+                at_start = minus(vec3(before, w, j), begin)
+                at_end = minus(vec3(after, w, j), end)
+                least_squared = closest_squared_distances(at_start, at_end)[1]
+                if j != i:
+                    closest = min(closest, least_squared)
+                    # All drones in the zone are within the first radius
+                    if is_first and least_squared < far:
+                        near[count] = j
+                        count += 1
+        if math.sqrt(closest) <= radius - closer or is_whole(grid, box):
+            break
+        is_first = False
+        radius *= WIDENING
+    # Sums are in the order of the drones
+    sort_ascending(near, count)
+    begun, depths = 0, 0.0
+    for k in range(count):
+        at_start = minus(vec3(before, w, near[k]), begin)
+        at_end = minus(vec3(after, w, near[k]), end)
+        start_squared, least_squared = closest_squared_distances(at_start, at_end)
+        minimum = math.sqrt(least_squared)
+        # An ongoing conflict started in an earlier decision
+        if minimum < d_safe and d_safe <= math.sqrt(start_squared):
+            begun += 1
+        depths += min(1.0, max(0.0, (zone - minimum) / (zone - d_safe)))
+    return math.sqrt(closest), begun, depths
+
+
 @kernel
 def fill_conflict(
     before: np.ndarray,
@@ -52,9 +168,12 @@ def fill_conflict(
 ) -> None:
     """Write the result of `measure_conflict` to arrays; it has the same arguments."""
     num_drones = alive.shape[1]
-    # Squared radius of the zone, with a margin for rounding errors
-    far = (1.0 + 1e-9) * zone * zone
+    far = _zone_squared(zone)
     for w in range(alive.shape[0]):
+        if num_drones >= MIN_POINTS and _fill_by_grid(
+            before, after, alive, w, d_safe, zone, separation, onsets, nearness
+        ):
+            continue
         # Several drones in lanes, each against all other drones of its world
         for lowest in range(0, num_drones, WIDTH):
             first = w * num_drones + lowest

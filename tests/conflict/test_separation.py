@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from swarms import PLACES, place_points
 
 from bulletuav.conflict.separation import measure_conflict
 from bulletuav.geometry.closest_approach import closest_squared_distances
@@ -41,6 +42,39 @@ def test_separations_have_the_bits_of_pairs_one_by_one(shape):
             strict=True,
         ):
             np.testing.assert_array_equal(got, expected)
+
+
+def all_pairs(before, after, alive, d_safe, zone):
+    """Return the same as `pair_by_pair` for one world, computed for all pairs together."""
+    gap, later = (each[None, :] - each[:, None] for each in (before, after))
+    change = later - gap
+
+    def dot(a, b):
+        return a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1] + a[..., 2] * b[..., 2]
+
+    along, square, start = dot(gap, change), dot(change, change), dot(gap, gap)
+    with np.errstate(all="ignore"):
+        time = np.minimum(1.0, -along / square)
+    vertex = np.maximum(0.0, start + 2.0 * time * along + time * time * square)
+    least = np.sqrt(np.where(along < 0.0, vertex, start))
+    least[~alive] = least[:, ~alive] = np.inf
+    np.fill_diagonal(least, np.inf)
+    depth = np.clip((zone - least) / (zone - d_safe), 0.0, 1.0)
+    onsets = ((least < d_safe) & (d_safe <= np.sqrt(start))).sum(axis=1)
+    return least.min(axis=1), onsets, np.cumsum(depth, axis=1)[:, -1]
+
+
+@pytest.mark.parametrize("kind", PLACES)
+@pytest.mark.parametrize("count", [127, 128, 200, 300, 1500])
+def test_many_drones_have_the_bits_of_all_pairs(kind, count):
+    rng = np.random.default_rng(count)
+    before = place_points(rng, kind, count)
+    for speed in (0.0, 0.1, 10.0):
+        after = before + rng.normal(0.0, speed, before.shape)
+        alive = rng.random(count) < 0.9
+        found = measure_conflict(before[None], after[None], alive[None], D_SAFE, ZONE)
+        for got, expected in zip(found, all_pairs(before, after, alive, D_SAFE, ZONE), strict=True):
+            np.testing.assert_array_equal(got[0], expected)
 
 
 def test_a_drone_that_is_nowhere_is_near_to_nobody():
