@@ -6,13 +6,25 @@ A pair is given by the indices of its two shapes, see `Scenery`.
 import math
 
 import numpy as np
+from numba import types
 
-from bulletuav.compiled.kernel import allocating, func
+from bulletuav.compiled.deferred import deferred
+from bulletuav.compiled.kernel import allocating, func, kernel
 from bulletuav.compiled.plain import record_type
 from bulletuav.contact.motion import read_vec3, write_vec3
 from bulletuav.contact.time_of_impact import CONTACT_DISTANCE
 from bulletuav.geometry.city_grid import NO_LAYOUT, CityGrid, cells_in_rectangle
 from bulletuav.geometry.closest_approach import closest_squared_distances
+from bulletuav.geometry.grid import (
+    Grid,
+    cells_around,
+    clear_grid,
+    fill_grid,
+    is_filled,
+    num_rows,
+    row_items,
+    sort_ascending,
+)
 from bulletuav.geometry.rotation import Vec3, dot, minus, point, quat4, to_body, vec3
 from bulletuav.geometry.scenery import Scenery
 from bulletuav.geometry.shapes import distance_from_box
@@ -109,6 +121,7 @@ def collect_pairs(
     rank: int,
     again: bool,
     obstacle_displacement: float,
+    others: tuple[Grid, np.ndarray, np.ndarray],
     pairs: np.ndarray,
     num_pairs: int,
 ) -> tuple[np.ndarray, int]:
@@ -124,6 +137,7 @@ def collect_pairs(
             rank that are checked, too, exist already.
         again: True if pairs of the drone were collected before in this substep.
         obstacle_displacement: Displacement of the fastest obstacle in the substep, m.
+        others: `grid`, `rank` and `near` of the `ContactWorkspace`; the grid may be unfilled.
         pairs: Rows of `PAIR` that were found before.
         num_pairs: Number of these pairs.
 
@@ -155,7 +169,13 @@ def collect_pairs(
                         other = scenery.first_piece + p
                         pairs, num_pairs = _add_pair(pairs, num_pairs, known, i, other)
     # Other drones in sorted order; the drone of lower rank is a
-    for place in range(order.shape[0]):
+    grid, _, near = others
+    is_listed = is_filled(grid)
+    count = order.shape[0]
+    if is_listed:
+        count = _list_ranks(grid, others[1], near, here, far)
+    for entry in range(count):
+        place = near[entry] if is_listed else entry
         j = order[place]
         is_paired = motions[j].is_due and place < rank and not again
         if j == i or not alive[w, j] or is_paired:
@@ -168,6 +188,47 @@ def collect_pairs(
             else:
                 pairs, num_pairs = _add_pair(pairs, num_pairs, known, i, j)
     return pairs, num_pairs
+
+
+@deferred(types.none)
+@kernel
+def fill_pair_grid(
+    scenery: Scenery, motions: np.ndarray, alive: np.ndarray, w: int, grid: Grid
+) -> None:
+    """Fill the grid of the drones for `collect_pairs`, unless a position is not finite.
+
+    Args:
+        scenery: All shapes.
+        motions: (N,) rows of `MOTION`; `start_position` and `range` are read.
+        alive: (W, N) bool, drones that can be touched.
+        w: Index of the world.
+        grid: The grid; `sizes` get the largest sum of a radius and a range.
+    """
+    most = 0.0
+    for i in range(grid.place.shape[0]):
+        write_vec3(grid.place[i], read_vec3(motions[i].start_position))
+        most = max(most, scenery.table.radius[i] + motions[i].range)
+    grid.sizes[2] = most
+    if not fill_grid(grid, alive, w):
+        clear_grid(grid)
+
+
+@deferred(types.int64)
+@kernel
+def _list_ranks(grid: Grid, rank: np.ndarray, near: np.ndarray, here: Vec3, far: float) -> int:
+    """List the ranks of all drones that a drone may touch, ascending; return their number."""
+    radius = far + grid.sizes[2] + grid.sizes[1]
+    box = cells_around(grid, here, radius)
+    count = 0
+    for row in range(num_rows(box)):
+        first, last = row_items(grid, box, row)
+        for m in range(first, last):
+            between = minus(point(grid.place, grid.item[m]), here)
+            if dot(between, between) <= radius * radius:
+                near[count] = rank[grid.item[m]]
+                count += 1
+    sort_ascending(near, count)
+    return count
 
 
 @func

@@ -1,6 +1,7 @@
 """Contact manifold: the contact points of a pair, with their normal and surface properties."""
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -28,6 +29,8 @@ from bulletuav.contact.time_of_impact import (
 from bulletuav.contact.warm_start import ContactCache
 from bulletuav.geometry.contact_points import MAX_POINTS, contact_points
 from bulletuav.geometry.gjk import make_scratch
+from bulletuav.geometry.grid import MIN_POINTS as GRID_DRONES
+from bulletuav.geometry.grid import Grid, make_grid
 from bulletuav.geometry.normal_refinement import refine_normal
 from bulletuav.geometry.rotation import Vec3, axes, cross, dot, minus, plus
 from bulletuav.geometry.scenery import Scenery
@@ -71,6 +74,9 @@ class ContactWorkspace(NamedTuple):
         pairs: Rows of `PAIR`, allocated for a typical number of pairs.
         scratch: Work array of `gjk_distance`, see `make_scratch`.
         found: Work array of `contact_points`.
+        grid: Grid of the drones; in small worlds it has no points and is never filled.
+        rank: (N,) place of each drone in `order`; written together with the grid.
+        near: (N,) places in `order` of drones that are near to another.
     """
 
     motions: np.ndarray
@@ -79,6 +85,13 @@ class ContactWorkspace(NamedTuple):
     pairs: np.ndarray
     scratch: np.ndarray
     found: np.ndarray
+    grid: Grid
+    rank: np.ndarray
+    near: np.ndarray
+
+
+_make_grid: Callable[[int], Grid] = make_grid.py_func  # type: ignore[attr-defined]
+"""`make_grid` without compilation"""
 
 
 def make_contact_workspace(num_drones: int) -> ContactWorkspace:
@@ -86,10 +99,13 @@ def make_contact_workspace(num_drones: int) -> ContactWorkspace:
     return ContactWorkspace(
         motions=np.zeros(num_drones, dtype=MOTION),
         island=np.zeros(num_drones, dtype=np.int64),
-        order=np.zeros(num_drones, dtype=np.int64),
+        order=np.arange(num_drones),
         pairs=np.zeros(INITIAL_PAIR_CAPACITY, dtype=PAIR),
         scratch=make_scratch(),
         found=np.zeros((MAX_POINTS, 4)),
+        grid=_make_grid(num_drones if num_drones >= GRID_DRONES else 0),
+        rank=np.zeros(num_drones, dtype=np.int64),
+        near=np.zeros(num_drones, dtype=np.int64),
     )
 
 

@@ -20,8 +20,17 @@ from bulletuav.contact.spin import bound_angle
 from bulletuav.contact.time_of_impact import CONTACT_DISTANCE
 from bulletuav.geometry.city_grid import NO_LAYOUT, cells_in_rectangle
 from bulletuav.geometry.closest_approach import closest_squared_distances, offset
+from bulletuav.geometry.grid import (
+    PATHS,
+    cells_around,
+    fill_grid,
+    fill_path_grid,
+    num_rows,
+    row_items,
+    sort_ascending,
+)
 from bulletuav.geometry.minkowski import shape_margin, support_point
-from bulletuav.geometry.rotation import axes, dot, minus, quat4, vec3
+from bulletuav.geometry.rotation import axes, dot, minus, point, quat4, vec3
 from bulletuav.geometry.scenery import Scenery
 from bulletuav.vehicle.swarm import Swarm
 
@@ -33,6 +42,9 @@ MAX_CITY_RANGE = 5.0
 """Distance within which buildings are searched for a budget, m"""
 SHARE_SPEED_OFFSET = 0.2
 """Speed added to the speeds by which two drones divide the distance between them, m/s"""
+
+MIN_DUE = 8
+"""Number of drones to be checked from which on a grid is faster than loops over all drones"""
 
 
 @deferred(types.float64)
@@ -166,24 +178,101 @@ def are_bounds_clear(
     """
     w = world.w
     scenery = world.scenery
-    radius = scenery.table.radius
     drones = world.alive.shape[1]
+    if uses_grid(space) and _fill_bounds_grid(space, world, end):
+        return _are_bounds_clear_in_grid(space, world, end, budget, uses_rotation)
     for i in range(drones):
-        motion = space.motions[i]
-        if not motion.is_due:
+        if not space.motions[i].is_due:
             continue
-        if end.position[w, i, 2] < radius[i] + CONTACT_DISTANCE + BUDGET_MARGIN:
-            return False
-        budget[w, i] = compute_budget(scenery, end, uses_rotation, w, i)
-        if budget[w, i] < motion.range + world.obstacle_displacement:
+        if not _is_scene_clear(space, world, end, budget, uses_rotation, i):
             return False
         for j in range(drones):
             if j == i or not world.alive[w, j]:
                 continue
-            within = radius[i] + radius[j] + CONTACT_DISTANCE + BUDGET_MARGIN
-            before, after = offset(world.start.position, w, i, j), offset(end.position, w, i, j)
-            if closest_squared_distances(before, after)[1] < within * within:
+            if _may_meet(world, end, i, j):
                 return False
+    return True
+
+
+@func
+def _is_scene_clear(
+    space: ContactWorkspace,
+    world: ContactWorld,
+    end: Swarm,
+    budget: np.ndarray,
+    uses_rotation: np.ndarray,
+    i: int,
+) -> bool:
+    """Check whether drone i can touch nothing but drones; see `are_bounds_clear`."""
+    w = world.w
+    radius = world.scenery.table.radius
+    if end.position[w, i, 2] < radius[i] + CONTACT_DISTANCE + BUDGET_MARGIN:
+        return False
+    budget[w, i] = compute_budget(world.scenery, end, uses_rotation, w, i)
+    return bool(budget[w, i] >= space.motions[i].range + world.obstacle_displacement)
+
+
+@func
+def _may_meet(world: ContactWorld, end: Swarm, i: int, j: int) -> bool:
+    """Check whether the bounding spheres of two drones meet in the substep."""
+    radius = world.scenery.table.radius
+    within = radius[i] + radius[j] + CONTACT_DISTANCE + BUDGET_MARGIN
+    before = offset(world.start.position, world.w, i, j)
+    after = offset(end.position, world.w, i, j)
+    return bool(closest_squared_distances(before, after)[1] < within * within)
+
+
+@func
+def uses_grid(space: ContactWorkspace) -> bool:
+    """Check whether enough drones have to be checked that a grid is worth filling."""
+    due = 0
+    if space.grid.place.shape[0] > 0:
+        for i in range(space.motions.shape[0]):
+            due += space.motions[i].is_due
+    return due >= MIN_DUE
+
+
+@deferred(types.boolean)
+@kernel
+def _fill_bounds_grid(space: ContactWorkspace, world: ContactWorld, end: Swarm) -> bool:
+    """Fill the grid of the paths of bounding spheres, whose radii are added to the reaches.
+
+    Returns False if a position is not finite.
+    """
+    w, grid = world.w, space.grid
+    if not fill_path_grid(grid, world.start.position, end.position, PATHS, world.alive, w):
+        return False
+    radius = world.scenery.table.radius
+    most = 0.0
+    for i in range(grid.reach.shape[0]):
+        grid.reach[i] += radius[i] + CONTACT_DISTANCE + BUDGET_MARGIN
+        most = max(most, grid.reach[i])
+    grid.sizes[2] = most
+    return True
+
+
+@deferred(types.boolean)
+@kernel
+def _are_bounds_clear_in_grid(
+    space: ContactWorkspace,
+    world: ContactWorld,
+    end: Swarm,
+    budget: np.ndarray,
+    uses_rotation: np.ndarray,
+) -> bool:
+    """Return the same as `are_bounds_clear`, from the grid of `_fill_bounds_grid`."""
+    grid = space.grid
+    for i in range(world.alive.shape[1]):
+        if not space.motions[i].is_due:
+            continue
+        if not _is_scene_clear(space, world, end, budget, uses_rotation, i):
+            return False
+        box = cells_around(grid, point(grid.place, i), grid.reach[i] + grid.sizes[2])
+        for row in range(num_rows(box)):
+            first, last = row_items(grid, box, row)
+            for m in range(first, last):
+                if grid.item[m] != i and _may_meet(world, end, i, grid.item[m]):
+                    return False
     return True
 
 
@@ -212,20 +301,97 @@ def share_budgets(
         w: Index of the world.
         i: Index of the drone.
     """
-    own = scenery.table.radius[i] + CONTACT_DISTANCE + BUDGET_MARGIN
     least = budget[w, i]
     # The faster drone gets the larger fraction of the distance between two drones
     speed = _compute_share_speed(swarm, w, i)
     for rank in range(order.shape[0]):
         j = order[rank]
         if j != i and alive[w, j]:
-            between = offset(swarm.position, w, i, j)
-            left = math.sqrt(dot(between, between)) - own - scenery.table.radius[j]
+            left = _compute_gap(scenery, swarm, w, i, j)
             # The budget of a drone that sleeps close to something is negative: count it as zero
-            other = max(0.0, budget[w, j])
-            if least + other > left:
-                fraction = speed / (speed + _compute_share_speed(swarm, w, j))
-                # Use all that the other drone does not need, if that is more
-                least = min(least, max(fraction * left, left - other))
-                budget[w, j] = min(budget[w, j], left - least)
+            if least + max(0.0, budget[w, j]) > left:
+                least = _share_gap(swarm, budget, w, j, left, speed, least)
     budget[w, i] = least
+
+
+@func
+def _compute_gap(scenery: Scenery, swarm: Swarm, w: int, i: int, j: int) -> float:
+    """Return the distance between the bounding spheres of two drones, less margins, m."""
+    own = scenery.table.radius[i] + CONTACT_DISTANCE + BUDGET_MARGIN
+    between = offset(swarm.position, w, i, j)
+    return float(math.sqrt(dot(between, between)) - own - scenery.table.radius[j])
+
+
+@func
+def _share_gap(
+    swarm: Swarm, budget: np.ndarray, w: int, j: int, left: float, speed: float, least: float
+) -> float:
+    """Divide the distance to drone j, m, and reduce its budget.
+
+    Args:
+        swarm: State of all drones.
+        budget: (W, N) m; that of drone j may be reduced.
+        w: Index of the world.
+        j: Index of the other drone.
+        left: The distance, m.
+        speed: Speed of the drone that takes its part, see `_compute_share_speed`, m/s.
+        least: Its budget so far, m.
+
+    Returns:
+        Its new budget, m.
+    """
+    other = max(0.0, budget[w, j])
+    fraction = speed / (speed + _compute_share_speed(swarm, w, j))
+    # Use all that the other drone does not need, if that is more
+    least = min(least, max(fraction * left, left - other))
+    budget[w, j] = min(budget[w, j], left - least)
+    return least
+
+
+@deferred(types.boolean)
+@kernel
+def share_budgets_in_grid(
+    space: ContactWorkspace, world: ContactWorld, swarm: Swarm, budget: np.ndarray
+) -> bool:
+    """Do the same as `share_budgets` for all checked drones, in the order of their ranks.
+
+    Returns False, and changes nothing, if a position is not finite.
+    """
+    w, grid, near = world.w, space.grid, space.near
+    radius = world.scenery.table.radius
+    for i in range(grid.place.shape[0]):
+        here = vec3(swarm.position, w, i)
+        for k in range(3):
+            grid.place[i, k] = here[k]
+    if not fill_grid(grid, world.alive, w):
+        return False
+    # Budgets only decrease: a drone farther than the largest of them has no effect
+    most = 0.0
+    for i in range(grid.place.shape[0]):
+        if world.alive[w, i]:
+            most = max(most, radius[i] + max(0.0, budget[w, i]))
+    most += CONTACT_DISTANCE + BUDGET_MARGIN + grid.sizes[1]
+    for rank in range(grid.place.shape[0]):
+        i = space.order[rank]
+        if not (space.motions[i].is_due and world.alive[w, i]):
+            continue
+        least = budget[w, i]
+        box = cells_around(grid, point(grid.place, i), radius[i] + max(0.0, least) + most)
+        count = 0
+        for row in range(num_rows(box)):
+            first, last = row_items(grid, box, row)
+            for m in range(first, last):
+                j = grid.item[m]
+                left = _compute_gap(world.scenery, swarm, w, i, j)
+                if j != i and least + max(0.0, budget[w, j]) > left:
+                    near[count] = space.rank[j]
+                    count += 1
+        sort_ascending(near, count)
+        speed = _compute_share_speed(swarm, w, i)
+        for k in range(count):
+            j = space.order[near[k]]
+            left = _compute_gap(world.scenery, swarm, w, i, j)
+            if least + max(0.0, budget[w, j]) > left:
+                least = _share_gap(swarm, budget, w, j, left, speed, least)
+        budget[w, i] = least - world.obstacle_displacement
+    return True

@@ -13,7 +13,12 @@ from numba import types
 
 from bulletuav.compiled.deferred import deferred
 from bulletuav.compiled.kernel import allocating, func, kernel
-from bulletuav.contact.broad_phase import PAIR_MARGIN, are_swept_bounds_apart, collect_pairs
+from bulletuav.contact.broad_phase import (
+    PAIR_MARGIN,
+    are_swept_bounds_apart,
+    collect_pairs,
+    fill_pair_grid,
+)
 from bulletuav.contact.clamping import stop_at_contact
 from bulletuav.contact.contact_log import ContactLog
 from bulletuav.contact.impact import apply_forces, resolve_impact
@@ -30,9 +35,16 @@ from bulletuav.contact.motion import (
     write_end_state,
     write_vec3,
 )
-from bulletuav.contact.motion_bounds import are_bounds_clear, compute_budget, share_budgets
-from bulletuav.contact.sorting import sort_drones
+from bulletuav.contact.motion_bounds import (
+    are_bounds_clear,
+    compute_budget,
+    share_budgets,
+    share_budgets_in_grid,
+    uses_grid,
+)
+from bulletuav.contact.sorting import sort_drones, write_ranks
 from bulletuav.contact.time_of_impact import CONTACT_DISTANCE, NO_IMPACT, find_time_of_impact
+from bulletuav.geometry.grid import clear_grid
 from bulletuav.geometry.rotation import dot, minus, plus, vec3
 from bulletuav.vehicle.swarm import Swarm
 
@@ -167,6 +179,7 @@ def _collect_drone_pairs(
         rank,
         again,
         world.obstacle_displacement,
+        (space.grid, space.rank, space.near),
         pairs,
         num_pairs,
     )
@@ -185,6 +198,10 @@ def find_pairs(
     for i in range(order.shape[0]):
         motions[i].in_island = False
         write_vec3(motions[i].start_position, vec3(world.start.position, world.w, i))
+    clear_grid(space.grid)
+    if uses_grid(space):
+        write_ranks(space.order, space.rank)
+        fill_pair_grid(world.scenery, motions, world.alive, world.w, space.grid)
     pairs = space.pairs
     num_pairs = 0
     for rank in range(order.shape[0]):
@@ -226,6 +243,8 @@ def _extend_pairs(
         distance = math.sqrt(max(dot(here, here), dot(there, there)))
         if distance > motion.range or not motion.is_due:
             motion.range = max(motion.range, 1.5 * distance + PAIR_MARGIN)
+            reach = world.scenery.table.radius[order[rank]] + motion.range
+            space.grid.sizes[2] = max(space.grid.sizes[2], reach)
             motion.is_due = True
             pairs, num_pairs = _collect_drone_pairs(
                 space, world, end, order, rank, True, pairs, num_pairs
@@ -350,6 +369,10 @@ def resolve_contacts(
                 write_end_state(space.motions[i], end, w, i, world.parameters[w, i])
             if space.motions[i].is_due and world.alive[w, i]:
                 budget[w, i] = compute_budget(world.scenery, end, uses_rotation, w, i)
+    if uses_grid(space):
+        write_ranks(space.order, space.rank)
+        if share_budgets_in_grid(space, world, end, budget):
+            return any_impact
     for rank in range(order.shape[0]):
         i = order[rank]
         if space.motions[i].is_due and world.alive[w, i]:
