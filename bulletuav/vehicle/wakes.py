@@ -12,9 +12,19 @@ import numpy as np
 from numba import types
 
 from bulletuav.compiled.deferred import deferred
-from bulletuav.compiled.kernel import func, kernel
+from bulletuav.compiled.kernel import allocating, func, kernel
 from bulletuav.compiled.lanes import WIDTH, lane_zeros, lanes_of
-from bulletuav.geometry.rotation import quat4, to_body
+from bulletuav.geometry.grid import (
+    MIN_POINTS,
+    Grid,
+    cells_around,
+    fill_grid,
+    make_grid,
+    num_rows,
+    row_items,
+    sort_ascending,
+)
+from bulletuav.geometry.rotation import point, quat4, to_body
 from bulletuav.vehicle.parameters import ParameterRow
 from bulletuav.vehicle.rotors import rotor_wrench
 from bulletuav.vehicle.wake import WAKE_EDGE, is_in_wake, jet, wake_width_squared
@@ -23,6 +33,8 @@ LIST_SKIN = 0.25
 """Distance that drones may move along each axis before the list of pairs is rebuilt, m"""
 _ROUNDED = 1.0 + 1e-9
 """Factor that keeps pairs at the edge of a wake in the list despite rounding errors of distances"""
+FAR = 1e30
+"""Largest radius of a search, m"""
 _WIDTH, _SQUARE, _STRENGTH, _X, _Y, _ARM = range(6)
 """Rows of `Wakes.numbers`: the arguments of `jet`, the vector to the axis, and the squared arm"""
 
@@ -140,29 +152,128 @@ def _list_pairs(
             drop = highest - lowest + 3.0 * skin
             widest = max(widest, _max_width_squared(drop, parameters[w, i]))
     edge = _list_range_squared(widest, skin)
+    if num_drones >= MIN_POINTS and _list_pairs_in_grid(
+        position, alive, parameters, w, world, skin, edge, wakes.pairs, wakes.listed
+    ):
+        return
     count = wakes.listed[0]
     for i in range(num_drones):
         if not alive[w, i] or not _has_neighbour(position, w, i, edge):
             continue
         for j in range(i + 1, num_drones):
-            dx = position[w, j, 0] - position[w, i, 0]
-            dy = position[w, j, 1] - position[w, i, 1]
-            square = dx * dx + dy * dy
-            if square > edge or not alive[w, j]:
-                continue
-            # Either drone may become the upper one
-            drop = abs(position[w, j, 2] - position[w, i, 2]) + 3.0 * skin
-            wide = max(
-                _max_width_squared(drop, parameters[w, i]),
-                _max_width_squared(drop, parameters[w, j]),
-            )
-            # Pairs with a NaN position are listed, too
-            if wide > 0.0 and not square > _list_range_squared(wide, skin):
+            if alive[w, j] and _may_interact(position, parameters, w, i, j, skin, edge):
                 pairs[count, 0] = world
                 pairs[count, 1] = i
                 pairs[count, 2] = j
                 count += 1
     wakes.listed[0] = count
+
+
+@func
+def _may_interact(
+    position: np.ndarray,
+    parameters: np.ndarray,
+    w: int,
+    i: int,
+    j: int,
+    skin: float,
+    edge: float,
+) -> bool:
+    """Return True if a drone may enter the wake of another while none leaves its skin."""
+    dx = position[w, j, 0] - position[w, i, 0]
+    dy = position[w, j, 1] - position[w, i, 1]
+    square = dx * dx + dy * dy
+    if square > edge:
+        return False
+    # Either drone may become the upper one
+    drop = abs(position[w, j, 2] - position[w, i, 2]) + 3.0 * skin
+    wide = max(
+        _max_width_squared(drop, parameters[w, i]),
+        _max_width_squared(drop, parameters[w, j]),
+    )
+    # Pairs with a NaN position are listed, too
+    return bool(wide > 0.0 and not square > _list_range_squared(wide, skin))
+
+
+@deferred(types.boolean)
+@allocating
+def _list_pairs_in_grid(
+    position: np.ndarray,
+    alive: np.ndarray,
+    parameters: np.ndarray,
+    w: int,
+    world: int,
+    skin: float,
+    edge: float,
+    pairs: np.ndarray,
+    listed: np.ndarray,
+) -> bool:
+    """Do the same as `_list_pairs` on a horizontal grid.
+
+    Args:
+        position: (W, N, 3) positions, m.
+        alive: (W, N) bool.
+        parameters: (W, N) rows of `parameters.PARAMETERS`.
+        w: Index of the world.
+        world: Its index in the group.
+        skin: Skin: distance that drones may move along each axis, m.
+        edge: Square of the range of the widest wake, m^2.
+        pairs: (P, 3) list of pairs, extended.
+        listed: (1,) number of pairs in the list, increased.
+
+    Returns:
+        False if the position of an active drone is not finite; nothing is listed then.
+    """
+    grid = make_grid(position.shape[1])
+    near = np.empty(position.shape[1], dtype=np.int64)
+    for i in range(position.shape[1]):
+        # A drone with an invalid height has no grid either
+        grid.place[i, 0] = position[w, i, 0]
+        grid.place[i, 1] = position[w, i, 1]
+        grid.place[i, 2] = 0.0 * position[w, i, 2]
+    if not fill_grid(grid, alive, w):
+        return False
+    _list_near_pairs(position, alive, parameters, w, world, skin, edge, grid, near, pairs, listed)
+    return True
+
+
+@kernel
+def _list_near_pairs(
+    position: np.ndarray,
+    alive: np.ndarray,
+    parameters: np.ndarray,
+    w: int,
+    world: int,
+    skin: float,
+    edge: float,
+    grid: Grid,
+    near: np.ndarray,
+    pairs: np.ndarray,
+    listed: np.ndarray,
+) -> None:
+    """List the pairs of a filled grid; see `_list_pairs_in_grid`."""
+    radius = min(math.sqrt(edge), FAR)
+    total = listed[0]
+    for i in range(position.shape[1]):
+        if not alive[w, i]:
+            continue
+        box = cells_around(grid, point(grid.place, i), radius)
+        count = 0
+        for row in range(num_rows(box)):
+            first, last = row_items(grid, box, row)
+            for m in range(first, last):
+                j = grid.item[m]
+                if j > i and _may_interact(position, parameters, w, i, j, skin, edge):
+                    near[count] = j
+                    count += 1
+        # Effects are summed in the order of the drones
+        sort_ascending(near, count)
+        for k in range(count):
+            pairs[total, 0] = world
+            pairs[total, 1] = i
+            pairs[total, 2] = near[k]
+            total += 1
+    listed[0] = total
 
 
 @func

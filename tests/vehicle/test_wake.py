@@ -5,6 +5,7 @@ import itertools
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from swarms import PLACES, place_points
 
 from bulletuav import available_airframes, load_airframe
 from bulletuav.compiled.lanes import WIDTH
@@ -196,3 +197,29 @@ def test_airframes_without_a_wake_are_not_listed():
     sum_wakes(swarm, all_alive(2), parameters, 0, 1, False, LIST_SKIN, wakes)
     assert wakes.listed[0] == 0
     assert (wakes.felt == 0).all()
+
+
+@pytest.mark.parametrize("kind", PLACES)
+@pytest.mark.parametrize("count", [199, 200, 300, 900])
+def test_wakes_of_many_drones_have_the_bits_of_all_pairs(kind, count):
+    """A drone at a position that is not finite has no grid, and no effect."""
+    rng = np.random.default_rng(count)
+    airframes = [load_airframe(name) for name in rng.choice(NAMES, count + 1)]
+    swarm = Swarm.zeros(1, count + 1, 8)
+    swarm.rotor_speed[:] = rng.uniform(0, 1000, swarm.rotor_speed.shape)
+    swarm.quaternion[:] = rng.normal(size=swarm.quaternion.shape)
+    swarm.position[0] = place_points(rng, kind, count + 1)
+    swarm.position[0, -1] = np.nan
+    parameters, alive = parameter_rows(airframes)[None], rng.random((1, count + 1)) < 0.9
+    alive[0, -1] = True
+    direct = Wakes.of(1, count + 1)
+    sum_wakes(swarm, alive, parameters, 0, 1, False, LIST_SKIN, direct)
+    few = Swarm(*(np.ascontiguousarray(array[:, :-1]) for array in swarm))
+    wakes = Wakes.of(1, count)
+    rows = np.ascontiguousarray(parameters[:, :-1])
+    sum_wakes(few, np.ascontiguousarray(alive[:, :-1]), rows, 0, 1, False, LIST_SKIN, wakes)
+    pairs = direct.pairs[: direct.listed[0]]
+    expected = pairs[pairs[:, 2] < count]
+    np.testing.assert_array_equal(wakes.pairs[: wakes.listed[0]], expected)
+    np.testing.assert_array_equal(wakes.felt, direct.felt[:, :-1])
+    assert len(expected) > 100
