@@ -45,6 +45,34 @@ def insert_nearest(
     return found
 
 
+@func
+def insert_nearest_by_index(
+    near: np.ndarray, distance: np.ndarray, found: int, j: int, new_distance: float
+) -> int:
+    """Do the same as `insert_nearest`; points at the same distance are sorted by index.
+
+    The result therefore does not depend on the order in which points are inserted.
+    """
+    if found == near.size:
+        last = found - 1
+        if found == 0 or new_distance > distance[last]:
+            return found
+        if new_distance == distance[last] and j > near[last]:
+            return found
+    found = min(found + 1, near.size)
+    slot = found - 1
+    while slot > 0 and (
+        distance[slot - 1] > new_distance
+        or (distance[slot - 1] == new_distance and near[slot - 1] > j)
+    ):
+        near[slot] = near[slot - 1]
+        distance[slot] = distance[slot - 1]
+        slot -= 1
+    near[slot] = j
+    distance[slot] = new_distance
+    return found
+
+
 @allocating
 def paired_distances(one: np.ndarray, two: np.ndarray) -> np.ndarray:
     """Compute the distances (W, N), m, between points (W, N, 3) of the same index.

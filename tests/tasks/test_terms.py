@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.distance import cdist
+from swarms import PLACES, place_points
 
 from bulletuav.conflict.separation import measure_conflict
 from bulletuav.tasks.base import merge_weights
@@ -86,6 +87,23 @@ def test_neighbours_are_the_nearest_present_others(seed, drones):
         ]
         expected += [(0.0,) * 7] * (NEIGHBOURS - len(others))
         np.testing.assert_allclose(out[0, i].reshape(NEIGHBOURS, 7), expected, atol=1e-12)
+
+
+@pytest.mark.parametrize("kind", PLACES)
+@pytest.mark.parametrize("drones", [199, 200, 300, 700])
+def test_neighbours_of_many_have_the_bits_and_the_order_of_all_pairs(kind, drones):
+    rng = np.random.default_rng(drones)
+    position = place_points(rng, kind, drones)[None]
+    velocity = np.round(rng.normal(size=position.shape))
+    shape = (1, drones, drones, 3)
+    theirs = [np.broadcast_to(array[:, None], shape) for array in (position, velocity)]
+    for share, horizon in ((0.8, NO_HORIZON), (1.0, INTRUDER_HORIZON), (0.01, NO_HORIZON)):
+        present = rng.uniform(size=(1, drones)) < share
+        known = present[:, None] & ~np.eye(drones, dtype=bool)
+        out, same = np.zeros((2, 1, drones, 7 * NEIGHBOURS))
+        write_nearest_known(position, velocity, *theirs, known, horizon, NEIGHBOURS, out)
+        write_nearest_present(position, velocity, present, horizon, NEIGHBOURS, same)
+        np.testing.assert_array_equal(same, out)
 
 
 def test_intruders_are_those_that_come_nearest_and_not_those_that_are():

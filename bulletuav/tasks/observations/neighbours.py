@@ -4,11 +4,28 @@ import math
 from typing import Any
 
 import numpy as np
+from numba import types
 
-from bulletuav.compiled.kernel import allocating, func
+from bulletuav.compiled.deferred import deferred
+from bulletuav.compiled.kernel import allocating, func, kernel
 from bulletuav.compiled.program import Program
-from bulletuav.geometry.closest_approach import closest_squared_distances, insert_nearest
-from bulletuav.geometry.rotation import Vec3, dot, minus, vec3
+from bulletuav.geometry.closest_approach import (
+    closest_squared_distances,
+    insert_nearest,
+    insert_nearest_by_index,
+)
+from bulletuav.geometry.grid import (
+    MIN_POINTS,
+    WIDENING,
+    Grid,
+    cells_around,
+    fill_path_grid,
+    is_whole,
+    make_grid,
+    num_rows,
+    row_items,
+)
+from bulletuav.geometry.rotation import Vec3, dot, minus, point, vec3
 from bulletuav.registry import register
 from bulletuav.sensors.base import Label, vector_labels
 from bulletuav.tasks.frame import Frame
@@ -250,6 +267,10 @@ def write_nearest_present(
     """
     near, least = np.empty(count, dtype=np.int64), np.empty(count)
     for w in range(present.shape[0]):
+        if present.shape[1] >= MIN_POINTS and _write_by_grid(
+            position, velocity, present, w, horizon, count, out
+        ):
+            continue
         for i in range(present.shape[1]):
             own = (vec3(position, w, i), vec3(velocity, w, i))
             found = 0
@@ -263,6 +284,80 @@ def write_nearest_present(
                 j = near[slot]
                 theirs = (vec3(position, w, j), vec3(velocity, w, j))
                 _write(out, (w, i, slot), theirs, own)
+
+
+@deferred(types.boolean)
+@allocating
+def _write_by_grid(
+    position: np.ndarray,
+    velocity: np.ndarray,
+    present: np.ndarray,
+    w: int,
+    horizon: float,
+    count: int,
+    out: np.ndarray,
+) -> bool:
+    """Do the same as `write_nearest_present` for world w on a grid of the drones' paths.
+
+    Returns False, and writes nothing, if a path is not finite.
+    """
+    num_drones = present.shape[1]
+    for i in range(num_drones):
+        for k in range(3):
+            # Drones that are not present see others, too
+            if not math.isfinite(position[w, i, k] + horizon * velocity[w, i, k]):
+                return False
+    grid = make_grid(num_drones)
+    if not fill_path_grid(grid, position, velocity, horizon, present, w):
+        return False
+    near, least = np.empty(count, dtype=np.int64), np.empty(count)
+    _write_all_nearest(position, velocity, present, w, horizon, grid, near, least, out)
+    return True
+
+
+@kernel
+def _write_all_nearest(
+    position: np.ndarray,
+    velocity: np.ndarray,
+    present: np.ndarray,
+    w: int,
+    horizon: float,
+    grid: Grid,
+    near: np.ndarray,
+    least: np.ndarray,
+    out: np.ndarray,
+) -> None:
+    """Write the nearest drones of world w; `near` and `least` (count,) are work arrays."""
+    total = 0
+    for i in range(present.shape[1]):
+        total += present[w, i]
+    for i in range(present.shape[1]):
+        own = (vec3(position, w, i), vec3(velocity, w, i))
+        # All entries are found within the final radius
+        wanted = min(near.size, total - 1) if present[w, i] else min(near.size, total)
+        closer = grid.reach[i] + grid.sizes[2]
+        radius = grid.sizes[0] + closer
+        found = 0
+        while wanted > 0:
+            found = 0
+            box = cells_around(grid, point(grid.place, i), radius)
+            for row in range(num_rows(box)):
+                first, last = row_items(grid, box, row)
+                for m in range(first, last):
+                    j = grid.item[m]
+                    theirs = (vec3(position, w, j), vec3(velocity, w, j))
+                    distance = _min_distance_within(theirs, own, horizon)
+                    if j != i:
+                        found = insert_nearest_by_index(near, least, found, j, distance)
+            if found == wanted and least[found - 1] <= radius - closer:
+                break
+            if is_whole(grid, box):
+                break
+            radius *= WIDENING
+        for slot in range(found):
+            j = near[slot]
+            theirs = (vec3(position, w, j), vec3(velocity, w, j))
+            _write(out, (w, i, slot), theirs, own)
 
 
 @allocating
