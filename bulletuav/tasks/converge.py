@@ -10,6 +10,8 @@ from bulletuav.registry import register
 from bulletuav.tasks.frame import Spawn, TaskContext
 from bulletuav.tasks.goal_flight import GOAL_FLIGHT_SHIRKERS, FlightConfig, GoalFlight
 from bulletuav.tasks.parts.airspace import (
+    LARGE_SWARM,
+    ROOM,
     AirspaceOptions,
     circle_arena,
     clearance,
@@ -23,7 +25,8 @@ class ConvergeConfig(AirspaceOptions, FlightConfig):
     """Options of `converge`, in addition to those of free airspace (`AirspaceOptions`).
 
     Attributes:
-        radius: Radius of the circle, m.
+        radius: Radius of the circle, m. If more than 256 drones do not fit on it, they start on
+            larger circles above each other.
     """
 
     radius: float = 80.0
@@ -82,23 +85,48 @@ class Converge(GoalFlight[ConvergeConfig]):
             ValueError: If drones could start in conflict or touch the ground.
         """
         super().__init__(config, context)
-        chord = 2 * config.radius * sin(np.pi / max(context.num_drones, 2))
-        nearest = min_start_distance(config, chord)
         clear = clearance(config, context)
+        self._radius, self._on_circle, self._rise = config.radius, context.num_drones, 0.0
+        if context.num_drones > LARGE_SWARM:
+            self._stack_circles(clear)
+        chord = 2 * self._radius * sin(np.pi / max(self._on_circle, 2))
+        nearest = min_start_distance(config, chord)
         if nearest <= clear:
             raise ValueError(
                 f"start positions may be in conflict: on a circle of radius {config.radius:g} m "
                 f"with jitter {config.jitter:g} m neighbours may be {nearest:.3g} m apart, "
                 f"more than {clear:.3g} m (d_safe) is needed"
             )
-        self.arena_low, self.arena_high = circle_arena(config, context, config.radius)
+        self.arena_low, self.arena_high = circle_arena(config, context, self._radius)
+        circles = -(-context.num_drones // self._on_circle)
+        self.arena_high[2] += (circles - 1) * self._rise
+
+    def _stack_circles(self, clear: float) -> None:
+        """Set radius, drones and vertical distance of circles if one circle is too small.
+
+        The radius grows by the cube root of the number of drones, so that the swarm keeps its form.
+
+        Args:
+            clear: Minimum distance between starts, m.
+        """
+        config, drones = self.config, self.context.num_drones
+        chord = ROOM * (clear + 2 * np.sqrt(2) * config.jitter)
+        room = int(2 * np.pi * config.radius / chord)
+        if not 0 < room < drones:
+            return
+        self._radius = config.radius * (drones / room) ** (1 / 3)
+        circles = -(-drones // int(2 * np.pi * self._radius / chord))
+        self._on_circle = -(-drones // circles)
+        self._rise = ROOM * (clear + 2 * config.jitter)
 
     def spawn(self, rng: np.random.Generator) -> Spawn:
         """Draw starts on the circle, in flight towards its centre."""
         drones = self.context.num_drones
-        angle = 2 * np.pi * np.arange(drones) / drones
+        number = np.arange(drones)
+        angle = 2 * np.pi * (number % self._on_circle) / self._on_circle
         directions = np.stack([cos(angle), sin(angle), np.zeros(drones)], axis=1)
-        place = self.config.radius * directions
-        height = np.array([0.0, 0.0, self.config.altitude])
+        place = self._radius * directions
+        height = np.zeros((drones, 3))
+        height[:, 2] = self.config.altitude + self._rise * (number // self._on_circle)
         start = self.config.scattered(place + height, rng)
         return self.launch(start, height - place, rng)

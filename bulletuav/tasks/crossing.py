@@ -13,9 +13,12 @@ from bulletuav.tasks.goal_flight import (
     FlightConfig,
     GoalFlight,
 )
-from bulletuav.tasks.parts.airspace import AirspaceOptions, clearance, require_margin
+from bulletuav.tasks.parts.airspace import ROOM, AirspaceOptions, clearance, require_margin
 from bulletuav.tasks.parts.difficulties import AIRSPACE_DIFFICULTIES
 from bulletuav.tasks.parts.teams import team_sizes
+
+MAX_RANKS = 100
+"""Maximum number of ranks of a team's formation"""
 
 
 @dataclass(frozen=True)
@@ -23,9 +26,11 @@ class CrossingConfig(AirspaceOptions, FlightConfig):
     """Options of `crossing`, in addition to those of free airspace (`AirspaceOptions`).
 
     Attributes:
-        half_length: Distance of a team's first rank from the centre at the start, m.
+        half_length: Distance of a team's first rank from the centre at the start, m; larger for
+            teams with more columns than `lanes`.
         altitude_spread: Range of the drones' altitudes, centred at `altitude`, m.
-        lanes: Number of columns of a team's formation.
+        lanes: Number of columns of a team's formation; teams that would have more than 100 ranks
+            have more columns.
         lane_spacing: Distance between columns, and between ranks, m.
         teams: Number of drones that fly north, and east; by default half each, north the larger
             half.
@@ -111,14 +116,19 @@ class Crossing(GoalFlight[CrossingConfig]):
         usual = ((drones + 1) // 2, drones // 2)
         self._num_north, east = team_sizes(config.teams, drones, usual)
         self.team[self._num_north :] = 1
+        largest = max(self._num_north, east)
+        self._lanes = max(config.lanes, -(-largest // MAX_RANKS))
+        self._half_length = config.half_length
+        if self._lanes > config.lanes:
+            needed = self._lanes * config.lane_spacing / 2 + config.jitter + clear
+            self._half_length = max(config.half_length, ROOM * needed)
         self._start, self._goal = self._places()
         # Depth and half width of the larger formation, m
-        largest = max(self._num_north, east)
-        ranks = -(-largest // config.lanes)
+        ranks = -(-largest // self._lanes)
         depth = (ranks - 1) * config.lane_spacing
-        width = min(largest, config.lanes) * config.lane_spacing / 2
+        width = min(largest, self._lanes) * config.lane_spacing / 2
         # The corners of the two formations must not overlap
-        if config.half_length <= width + config.jitter + clear:
+        if self._half_length <= width + config.jitter + clear:
             raise ValueError(
                 f"half_length {config.half_length:g} m is too short for formations "
                 f"{2 * width:g} m wide: the teams' starts would overlap; "
@@ -130,13 +140,13 @@ class Crossing(GoalFlight[CrossingConfig]):
                 f"altitude {config.altitude:g} m is too low "
                 f"for altitude_spread {config.altitude_spread:g} m"
             )
-        half_side = max(config.half_length + depth, width) + config.margin
+        half_side = max(self._half_length + depth, width) + config.margin
         self.arena_low = np.array([-half_side, -half_side, 0.0])
         self.arena_high = np.array([half_side, half_side, config.altitude + rise + config.margin])
 
     def _places(self) -> tuple[np.ndarray, np.ndarray]:
         """Return starts and goals, (N, 3) each, m, without altitudes and jitter."""
-        drones, half_length = self.context.num_drones, self.config.half_length
+        drones, half_length = self.context.num_drones, self._half_length
         start, goal = np.zeros((2, drones, 3))
         # Flight axis and drones of each team
         teams = ((1, slice(0, self._num_north)), (0, slice(self._num_north, drones)))
@@ -150,7 +160,7 @@ class Crossing(GoalFlight[CrossingConfig]):
 
     def _formation(self, count: int) -> tuple[np.ndarray, np.ndarray]:
         """Return each drone's lateral and rearward offset from the centre of the first rank, m."""
-        lanes = min(count, self.config.lanes)
+        lanes = min(count, self._lanes)
         spacing = self.config.lane_spacing
         index = np.arange(count)
         aside = (index % lanes - (lanes - 1) / 2) * spacing

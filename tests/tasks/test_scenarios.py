@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 from scipy.spatial.distance import pdist
 
 import bulletuav
@@ -181,3 +182,28 @@ def test_a_range_of_one_value_draws_what_a_number_draws(task):
         aviary.close()
     for one, other in zip(*drawn, strict=True):
         np.testing.assert_array_equal(one, other)
+
+
+@pytest.mark.parametrize("drones", [300, 1000, 2500])
+@pytest.mark.parametrize("task", ["crossing", "converge", "free_flight", "flocking"])
+def test_airspaces_grow_with_large_swarms(task, drones):
+    aviary = bulletuav.Aviary(task, num_drones=drones, dynamics="point_mass")
+    aviary.reset(seeds=0)
+    place, goal = aviary.swarm.position[0], aviary.scene.goal[0]
+    assert cKDTree(place).query(place, 2)[0][:, 1].min() > aviary.task.config.d_safe
+    low, high = aviary.task.arena_low, aviary.task.arena_high
+    for points in (place, goal):
+        assert ((low < points) & (points < high)).all()
+    if task == "converge":
+        np.testing.assert_allclose((place + goal)[:, :2], 0.0, atol=1.0)
+        assert len(np.unique(goal[:, 2])) == {300: 3, 1000: 7, 2500: 12}[drones]
+    if task == "crossing":
+        along = np.ptp(place[: drones // 2, 1])
+        assert along < 99 * aviary.task.config.lane_spacing + 2
+    aviary.close()
+
+
+def test_ten_thousand_drones_cross():
+    aviary = bulletuav.Aviary("crossing", num_drones=10_000, dynamics="point_mass")
+    assert aviary.task.arena_high[0] < 2000
+    aviary.close()

@@ -7,6 +7,11 @@ import numpy as np
 
 from bulletuav.tasks.frame import TaskContext
 
+LARGE_SWARM = 256
+"""Number of drones above which the airspace grows if it is too small for all of them"""
+ROOM = 1.05
+"""Factor of distances between starts in an airspace that has grown"""
+
 
 @dataclass(frozen=True)
 class AirspaceOptions:

@@ -7,7 +7,13 @@ import numpy as np
 
 from bulletuav.tasks.base import Task
 from bulletuav.tasks.frame import Scene, Spawn
-from bulletuav.tasks.parts.airspace import AirspaceOptions, clearance, require_margin
+from bulletuav.tasks.parts.airspace import (
+    LARGE_SWARM,
+    ROOM,
+    AirspaceOptions,
+    clearance,
+    require_margin,
+)
 from bulletuav.tasks.parts.base import Starts
 from bulletuav.tasks.parts.draws import get_random_source
 from bulletuav.tasks.parts.obstacle_field import ObstacleField
@@ -32,7 +38,8 @@ class FreeSpaceOptions(AirspaceOptions):
     Starts, and goals, keep 2 d_safe from each other, and d_safe from obstacles.
 
     Attributes:
-        area: Side of the square in which starts, goals and obstacles are, m.
+        area: Side of the square in which starts, goals and obstacles are, m; more than 256 drones
+            have a larger one if they need it.
         altitude_spread: Range of their altitudes, centred at `altitude`, m.
         leg: Minimum distance from a start to its goal, m.
         jitter: Maximum random offset of a start on each axis, m.
@@ -68,8 +75,9 @@ class FreeSpace(Starts):
         self._config, self._field = task.config, field
         config, context = self._config, task.context
         require_margin(config)
-        self._num_drones = context.num_drones
-        side = config.area / 2
+        self._context, self._num_drones = context, context.num_drones
+        self._set_distances()
+        side = self._find_side() / 2
         rise = config.altitude_spread / 2
         self.low = np.array([-side, -side, config.altitude - rise])
         self.high = np.array([side, side, config.altitude + rise])
@@ -82,11 +90,6 @@ class FreeSpace(Starts):
         self._start_high = self.high.copy()
         if config.take_off:
             self._start_high[2] = self.low[2]
-        # Worst case: jitter along the diagonal of its cube
-        shift = np.sqrt(3) * config.jitter
-        self.apart = 2 * clearance(config, context) + 2 * shift
-        self.leg = float(config.leg + shift)
-        self.obstacle_distance = field.radius + self.apart / 2
         self._rules = PlacementRules(self.obstacle_distance, float(self.apart), self.leg)
         self._check_room()
         field.bounds = (self.low, self.high)
@@ -94,12 +97,37 @@ class FreeSpace(Starts):
         task.arena_high = self.high + config.margin
         task.arena_low[2] = 0.0
 
+    def _set_distances(self) -> None:
+        """Set the minimum distances between starts, goals and obstacles."""
+        config = self._config
+        # Worst case: jitter along the diagonal of its cube
+        shift = np.sqrt(3) * config.jitter
+        self.apart = 2 * clearance(config, self._context) + 2 * shift
+        self.leg = float(config.leg + shift)
+        self.obstacle_distance = self._field.radius + self.apart / 2
+
+    def _find_side(self) -> float:
+        """Return the side of the square, m: the one given, or what a large swarm needs."""
+        config = self._config
+        if self._num_drones <= LARGE_SWARM:
+            return float(config.area)
+        # The limits of `_check_room`
+        room = self._occupied_volume() / MAX_OCCUPANCY
+        plane = room / (config.altitude_spread + 2 * self.apart)
+        if config.take_off:
+            plane = max(plane, self._num_drones * np.pi * self.apart**2 / MAX_GROUND_OCCUPANCY)
+        return float(max(config.area, ROOM * np.sqrt(plane) - 2 * self.apart))
+
+    def _occupied_volume(self) -> float:
+        """Return the volume from which drones and obstacles exclude others, m^3."""
+        # Each of them excludes others from a ball around it
+        balls = (self._field.radius + self.apart) ** 3
+        return float(4 / 3 * np.pi * (balls.sum() + self._num_drones * self.apart**3))
+
     def _check_room(self) -> None:
         """Check that little of the space is occupied, so that random positions are found fast."""
         config, drones = self._config, self._num_drones
-        # Each drone and obstacle excludes others from a ball around it
-        balls = (self._field.radius + self.apart) ** 3
-        taken = 4 / 3 * np.pi * (balls.sum() + drones * self.apart**3)
+        taken = self._occupied_volume()
         room = float(np.prod(self.high - self.low + 2 * self.apart))
         if taken > MAX_OCCUPANCY * room:
             raise ValueError(
