@@ -2,13 +2,13 @@
 
 import numpy as np
 
-from bulletuav.policies.traffic import ObstacleClearance, Traffic, tabulate_buildings, true_traffic
+from bulletuav.policies.traffic import ObstacleClearance, tabulate_buildings, true_traffic
 
 OPEN = (np.full(3, -np.inf), np.full(3, np.inf))
 TOUCH = ObstacleClearance(body=0.0, margin=0.0, max_distance=100.0)
 
 
-def traffic_of(state, balls=(), box=OPEN, solids=None, alive=None, clear=TOUCH) -> Traffic:
+def traffic_of(state, balls=(), box=OPEN, solids=None, alive=None, clear=TOUCH, far=np.inf):
     """Traffic of rows of position and velocity, and of balls of position, velocity and radius."""
     position, velocity = np.array(state, float).reshape(-1, 2, 3).transpose(1, 0, 2)[:, None].copy()
     ball = np.array(balls, float).reshape(-1, 7)
@@ -21,6 +21,7 @@ def traffic_of(state, balls=(), box=OPEN, solids=None, alive=None, clear=TOUCH) 
         np.array([-1 if solids is None else 0]),
         tabulate_buildings(() if solids is None else (solids,)),
         clear,
+        far,
     )
 
 

@@ -177,7 +177,6 @@ def are_bounds_clear(
         uses_rotation: (W, N) bool; set together with the budget, see `compute_budget`.
     """
     w = world.w
-    scenery = world.scenery
     drones = world.alive.shape[1]
     if uses_grid(space) and _fill_bounds_grid(space, world, end):
         return _are_bounds_clear_in_grid(space, world, end, budget, uses_rotation)

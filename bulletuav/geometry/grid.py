@@ -333,3 +333,20 @@ def sort_ascending(items: np.ndarray, count: int) -> None:
                 k -= gap
             items[k] = item
         gap = gap // 2
+
+
+@func
+def sort_by_key(keys: np.ndarray, items: np.ndarray, count: int) -> None:
+    """Sort the first `count` different items, and their keys, by key and then by item, in place."""
+    gap = count // 2
+    while gap > 0:
+        for last in range(gap, count):
+            key, item = keys[last], items[last]
+            k = last
+            while k >= gap and (
+                keys[k - gap] > key or (keys[k - gap] == key and items[k - gap] > item)
+            ):
+                keys[k], items[k] = keys[k - gap], items[k - gap]
+                k -= gap
+            keys[k], items[k] = key, item
+        gap = gap // 2

@@ -38,10 +38,12 @@ class Avoidance(Policy):
         clearance: Distances to static obstacles.
         sphere_radius: (K,) distances to maintain from the centres of obstacles, m; 0 for none.
         box: Lower and upper corner (3,) of the arena, m.
+        max_distance: Distance beyond which `avoid` ignores other drones, m.
     """
 
     actions = ("velocity", "velocity_increment")
     reads_swarm = True
+    max_distance = np.inf
 
     def __init__(self, aviary: Aviary) -> None:
         """Compute the avoidance parameters from the task and the options; see `Policy`."""
@@ -118,6 +120,7 @@ class Avoidance(Policy):
             scene.layout,
             self._buildings,
             self.clearance,
+            self.max_distance,
         )
 
     @abstractmethod

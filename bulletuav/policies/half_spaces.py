@@ -14,6 +14,7 @@ import numpy as np
 from bulletuav.compiled.functions import cos, sin
 from bulletuav.compiled.kernel import func, kernel
 from bulletuav.geometry.closest_approach import insert_nearest
+from bulletuav.geometry.grid import sort_by_key
 from bulletuav.geometry.rotation import Vec3, cross, dot, plus, vec3
 from bulletuav.policies.linear_program import solve_velocity, write_half_space
 from bulletuav.policies.traffic import Traffic
@@ -27,6 +28,9 @@ MIN_TURN = 1e-9
 """Minimum angle that is turned, rad"""
 MIN_NORM = 1e-9
 """Minimum length of a vector that has a direction, m or m/s"""
+
+MAX_INSERTED = 32
+"""Number of other drones up to which they are sorted by insertion"""
 
 HalfSpace = tuple[Vec3, float]
 """Unit normal n and bound b, m/s, of the velocities v with n . v >= b"""
@@ -84,8 +88,20 @@ def find_nearest_drones(
             offset = vec3(traffic.offset[w], i, k)
             square = dot(offset, offset)
             if square <= max_distance * max_distance:
-                found = insert_nearest(near, distance, found, k, square)
+                if near.size <= MAX_INSERTED:
+                    found = insert_nearest(near, distance, found, k, square)
+                else:
+                    near[found], distance[found] = k, square
+                    found += 1
+    if near.size > MAX_INSERTED:
+        sort_by_key(distance, near, found)
     return found
+
+
+@func
+def max_conflict_distance(parameters: AvoidanceParameters) -> float:
+    """Return the distance beyond which no drones can conflict within the horizon, m."""
+    return parameters.separation + 2.0 * parameters.max_speed * parameters.horizon
 
 
 @kernel

@@ -9,6 +9,7 @@ References:
 import numpy as np
 
 from bulletuav.compiled.kernel import allocating, kernel
+from bulletuav.envs.aviary import Aviary
 from bulletuav.geometry.rotation import vec3
 from bulletuav.policies.avoidance import Avoidance
 from bulletuav.policies.half_spaces import (
@@ -16,6 +17,7 @@ from bulletuav.policies.half_spaces import (
     add_half_space,
     add_obstacle_half_spaces,
     find_nearest_drones,
+    max_conflict_distance,
     orca_half_space,
     solve_with_right_turn,
 )
@@ -33,6 +35,11 @@ class Orca(Avoidance):
     """
 
     name = "orca"
+
+    def __init__(self, aviary: Aviary) -> None:
+        """Compute the distance of drones that may conflict; see `Avoidance`."""
+        super().__init__(aviary)
+        self.max_distance = max_conflict_distance(self.parameters)
 
     def avoid(
         self, traffic: Traffic, preferred: np.ndarray, parameters: AvoidanceParameters
@@ -90,7 +97,7 @@ def _add_drone_half_spaces(
 ) -> int:
     """Write the half-spaces of all drones that are near enough to matter; return their number."""
     own = vec3(traffic.velocity, w, i)
-    max_distance = parameters.separation + 2.0 * parameters.max_speed * parameters.horizon
+    max_distance = max_conflict_distance(parameters)
     count = 0
     for k in range(find_nearest_drones(traffic, w, i, max_distance, near, distance)):
         offset = vec3(traffic.offset[w], i, near[k])

@@ -9,15 +9,29 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numba import types
 
+from bulletuav.compiled.deferred import deferred
 from bulletuav.compiled.kernel import allocating, func, kernel
 from bulletuav.geometry.convex import make_hull_shape, make_shape_table
+from bulletuav.geometry.grid import (
+    MIN_POINTS,
+    Grid,
+    cells_around,
+    fill_grid,
+    make_grid,
+    num_rows,
+    row_items,
+    sort_ascending,
+)
 from bulletuav.geometry.rotation import Vec3, dot, minus, point, vec3
 from bulletuav.geometry.shapes import distance_from_box
 from bulletuav.geometry.solids import Solids
 
 FACES = 6
 """Number of faces of the arena, the first rows of surfaces"""
+DENSE = 8
+"""Reciprocal of the fraction of points near one of them from which on all are searched"""
 MIN_NORM = 1e-9
 """Minimum length of a vector that has a direction, m"""
 
@@ -118,8 +132,12 @@ def true_traffic(
     layout: np.ndarray,
     buildings: Buildings,
     clearance: ObstacleClearance,
+    max_distance: float,
 ) -> Traffic:
     """Compute the traffic around each drone from the true state.
+
+    Drones farther than `max_distance` may be left out, so that the memory of a large swarm is
+    linear in the number of drones. The others are in the order of their indices.
 
     Args:
         swarm: Positions (W, N, 3), m, velocities (W, N, 3), m/s, and (W, N) bool, which drones fly.
@@ -129,14 +147,16 @@ def true_traffic(
         layout: (W,) layout of each world; negative for none.
         buildings: Buildings of all layouts.
         clearance: Distances to static obstacles.
+        max_distance: Distance within which all drones are needed, m.
     """
     position, velocity, alive = swarm
     worlds, drones = alive.shape
     count = spheres[2].size
     goal_offset = np.empty((worlds, drones, 3))
-    offset = np.empty((worlds, drones, drones, 3))
-    other_velocity = np.empty((worlds, drones, drones, 3))
-    known = np.empty((worlds, drones, drones), np.bool_)
+    if drones >= MIN_POINTS and max_distance < np.inf:
+        offset, other_velocity, known = _near_others(swarm, max_distance)
+    else:
+        offset, other_velocity, known = _all_others(swarm)
     sphere = np.empty((worlds, drones, count, 3))
     sphere_velocity = np.empty((worlds, drones, count, 3))
     sphere_radius = np.empty((worlds, drones, count))
@@ -145,15 +165,9 @@ def true_traffic(
             for axis in range(3):
                 here = position[w, i, axis]
                 goal_offset[w, i, axis] = goals[0][w, i, axis] - here
-                # Other drones, then spheres.
-                for j in range(drones):
-                    offset[w, i, j, axis] = position[w, j, axis] - here
-                    other_velocity[w, i, j, axis] = velocity[w, j, axis]
                 for k in range(count):
                     sphere[w, i, k, axis] = spheres[0][w, k, axis] - here
                     sphere_velocity[w, i, k, axis] = spheres[1][w, k, axis]
-            for j in range(drones):
-                known[w, i, j] = alive[w, i] and alive[w, j] and i != j
             for k in range(count):
                 sphere_radius[w, i, k] = spheres[2][k]
     surface = find_surfaces(position, box, layout, buildings, clearance)
@@ -169,6 +183,108 @@ def true_traffic(
         sphere_radius,
         surface,
     )
+
+
+@allocating
+def _all_others(
+    swarm: tuple[np.ndarray, np.ndarray, np.ndarray],
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Compute the rows of all drones: `offset`, `other_velocity` and `known` of `Traffic`."""
+    position, velocity, alive = swarm
+    worlds, drones = alive.shape
+    offset = np.empty((worlds, drones, drones, 3))
+    other_velocity = np.empty((worlds, drones, drones, 3))
+    known = np.empty((worlds, drones, drones), np.bool_)
+    for w in range(worlds):
+        for i in range(drones):
+            for axis in range(3):
+                here = position[w, i, axis]
+                for j in range(drones):
+                    offset[w, i, j, axis] = position[w, j, axis] - here
+                    other_velocity[w, i, j, axis] = velocity[w, j, axis]
+            for j in range(drones):
+                known[w, i, j] = alive[w, i] and alive[w, j] and i != j
+    return offset, other_velocity, known
+
+
+@deferred(types.Tuple((types.float64[:, :, :, ::1],) * 2 + (types.boolean[:, :, ::1],)))
+@allocating
+def _near_others(
+    swarm: tuple[np.ndarray, np.ndarray, np.ndarray], max_distance: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Compute the same rows as `_all_others`, but of the drones within a distance only."""
+    position, velocity, alive = swarm
+    worlds, drones = alive.shape
+    grid = make_grid(drones)
+    # Number of near drones, and their indices one drone after the other
+    count = np.zeros((worlds, drones), dtype=np.int64)
+    near = np.empty((worlds, 64 * drones), dtype=np.int64)
+    found = np.empty(drones, dtype=np.int64)
+    most = 0
+    for w in range(worlds):
+        for i in range(drones):
+            for k in range(3):
+                grid.place[i, k] = position[w, i, k]
+        if not fill_grid(grid, alive, w):
+            return _all_others(swarm)
+        total = 0
+        for i in range(drones):
+            if alive[w, i]:
+                count[w, i] = _list_near(grid, alive, w, i, max_distance, found)
+                if total + count[w, i] > near.shape[1]:
+                    wider = np.empty((worlds, 2 * (total + count[w, i])), dtype=np.int64)
+                    wider[:, : near.shape[1]] = near
+                    near = wider
+                near[w, total : total + count[w, i]] = found[: count[w, i]]
+                total += count[w, i]
+                most = max(most, count[w, i])
+    offset = np.zeros((worlds, drones, most, 3))
+    other_velocity = np.zeros((worlds, drones, most, 3))
+    known = np.zeros((worlds, drones, most), np.bool_)
+    for w in range(worlds):
+        total = 0
+        for i in range(drones):
+            for k in range(count[w, i]):
+                j = near[w, total + k]
+                known[w, i, k] = True
+                for axis in range(3):
+                    offset[w, i, k, axis] = position[w, j, axis] - position[w, i, axis]
+                    other_velocity[w, i, k, axis] = velocity[w, j, axis]
+            total += count[w, i]
+    return offset, other_velocity, known
+
+
+@kernel
+def _list_near(
+    grid: Grid, is_used: np.ndarray, w: int, i: int, max_distance: float, found: np.ndarray
+) -> int:
+    """List the points within a distance of point i, ascending; return their number."""
+    here = point(grid.place, i)
+    radius = max_distance + grid.sizes[1]
+    box = cells_around(grid, here, radius)
+    count = 0
+    candidates = 0
+    for row in range(num_rows(box)):
+        first, last = row_items(grid, box, row)
+        candidates += last - first
+    if DENSE * candidates > grid.place.shape[0]:
+        # So many that a loop over all points is faster than to sort them
+        for j in range(grid.place.shape[0]):
+            between = minus(point(grid.place, j), here)
+            if is_used[w, j] and j != i and dot(between, between) <= radius * radius:
+                found[count] = j
+                count += 1
+        return count
+    for row in range(num_rows(box)):
+        first, last = row_items(grid, box, row)
+        for m in range(first, last):
+            j = grid.item[m]
+            between = minus(point(grid.place, j), here)
+            if j != i and dot(between, between) <= radius * radius:
+                found[count] = j
+                count += 1
+    sort_ascending(found, count)
+    return count
 
 
 @allocating

@@ -13,6 +13,7 @@ from bulletuav.geometry.grid import (
     num_rows,
     row_items,
     sort_ascending,
+    sort_by_key,
 )
 
 
@@ -72,3 +73,14 @@ def test_numbers_are_sorted():
         expected = [*sorted(items[:count]), *items[count:]]
         sort_ascending(items, count)
         assert items.tolist() == expected
+
+
+def test_items_are_sorted_by_key_and_then_by_item():
+    for count in (0, 1, 2, 50, 300):
+        rng = np.random.default_rng(count)
+        items, keys = rng.permutation(count + 3), rng.integers(0, 20, count + 3) / 8
+        expected = sorted(zip(keys[:count], items[:count], strict=True))
+        rest = items[count:].copy()
+        sort_by_key(keys, items, count)
+        assert list(zip(keys[:count], items[:count], strict=True)) == expected
+        np.testing.assert_array_equal(items[count:], rest)

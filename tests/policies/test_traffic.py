@@ -1,8 +1,11 @@
 import numpy as np
 import pytest
+from swarms import PLACES, place_points
 from traffic_around import traffic_of
 
 from bulletuav.geometry.solids import Solids
+from bulletuav.policies.half_spaces import AvoidanceParameters, max_conflict_distance
+from bulletuav.policies.orca import orca_velocities
 from bulletuav.policies.traffic import FACES, ObstacleClearance
 
 BOX = np.array([[(0.0, 0, 0), (10, 20, 30)]])
@@ -75,3 +78,20 @@ def test_buildings_keep_drones_off_by_body_and_margin_within_their_reach():
     state = [(-5, 10, 10, 0, 0, 0), (500, 0, 10, 0, 0, 0)]
     rows = traffic_of(state, solids=solids).surface[0, 1, FACES:]
     assert np.isinf(rows[:, 3]).all()
+
+
+@pytest.mark.parametrize("kind", PLACES)
+@pytest.mark.parametrize("drones", [199, 300])
+def test_orca_has_the_bits_of_all_others_with_only_those_that_are_near(kind, drones):
+    rng = np.random.default_rng(drones)
+    rules = AvoidanceParameters(1.0, 2.0, 1.0, 1.0, 1.0)
+    place = np.round(place_points(rng, kind, drones), 2)
+    state = np.stack([place, rng.normal(0.0, 0.5, place.shape)], axis=1)
+    alive = rng.random(drones) < 0.9
+    wish = rng.normal(0.0, 1.0, (1, drones, 3))
+    found = []
+    for far in (np.inf, max_conflict_distance(rules)):
+        traffic = traffic_of(state, alive=alive, far=far)
+        found.append(orca_velocities(traffic, wish, rules))
+    assert traffic.known.shape[2] < drones or drones < 200
+    np.testing.assert_array_equal(*found)
