@@ -23,7 +23,7 @@ from bulletuav.geometry.grid import (
     cells_around,
     fill_path_grid,
     is_whole,
-    make_grid,
+    make_point_grid,
     num_rows,
     row_items,
     sort_ascending,
@@ -76,7 +76,7 @@ def _fill_by_grid(
 ) -> bool:
     """Write the results of world w; return False if a drone has a position that is not finite."""
     num_drones = alive.shape[1]
-    grid = make_grid(num_drones)
+    grid = make_point_grid(num_drones)
     near = np.empty(num_drones, dtype=np.int64)
     finite = fill_path_grid(grid, before, after, PATHS, alive, w)
     if finite:

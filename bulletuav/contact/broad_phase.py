@@ -20,7 +20,7 @@ from bulletuav.geometry.grid import (
     cells_around,
     clear_grid,
     fill_grid,
-    is_filled,
+    is_grid_filled,
     num_rows,
     row_items,
     sort_ascending,
@@ -170,7 +170,7 @@ def collect_pairs(
                         pairs, num_pairs = _add_pair(pairs, num_pairs, known, i, other)
     # Other drones in sorted order; the drone of lower rank is a
     grid, _, near = others
-    is_listed = is_filled(grid)
+    is_listed = is_grid_filled(grid)
     count = order.shape[0]
     if is_listed:
         count = _list_ranks(grid, others[1], near, here, far)

@@ -72,7 +72,7 @@ class CellBox(NamedTuple):
 
 
 @allocating
-def make_grid(num_points: int) -> Grid:
+def make_point_grid(num_points: int) -> Grid:
     """Allocate a grid of N points, without any points."""
     return Grid(
         place=np.empty((num_points, 3)),
@@ -233,7 +233,7 @@ def cells_around(grid: Grid, here: Vec3, radius: float) -> CellBox:
 
 
 @func
-def is_filled(grid: Grid) -> bool:
+def is_grid_filled(grid: Grid) -> bool:
     """Return True if a grid has been filled since it was allocated or cleared."""
     return bool(grid.cells[0] > 0)
 

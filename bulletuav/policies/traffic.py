@@ -19,7 +19,7 @@ from bulletuav.geometry.grid import (
     Grid,
     cells_around,
     fill_grid,
-    make_grid,
+    make_point_grid,
     num_rows,
     row_items,
     sort_ascending,
@@ -215,7 +215,7 @@ def _near_others(
     """Compute the same rows as `_all_others`, but of the drones within a distance only."""
     position, velocity, alive = swarm
     worlds, drones = alive.shape
-    grid = make_grid(drones)
+    grid = make_point_grid(drones)
     # Number of near drones, and their indices one drone after the other
     count = np.zeros((worlds, drones), dtype=np.int64)
     near = np.empty((worlds, 64 * drones), dtype=np.int64)

@@ -19,7 +19,7 @@ from bulletuav.geometry.grid import (
     Grid,
     cells_around,
     fill_grid,
-    make_grid,
+    make_point_grid,
     num_rows,
     row_items,
     sort_ascending,
@@ -224,7 +224,7 @@ def _list_pairs_in_grid(
     Returns:
         False if the position of an active drone is not finite; nothing is listed then.
     """
-    grid = make_grid(position.shape[1])
+    grid = make_point_grid(position.shape[1])
     near = np.empty(position.shape[1], dtype=np.int64)
     for i in range(position.shape[1]):
         # A drone with an invalid height has no grid either

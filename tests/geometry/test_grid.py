@@ -9,7 +9,7 @@ from bulletuav.geometry.grid import (
     cells_around,
     fill_grid,
     is_whole,
-    make_grid,
+    make_point_grid,
     num_rows,
     row_items,
     sort_ascending,
@@ -34,7 +34,7 @@ def test_cells_around_a_position_have_each_near_point_once(kind, points_per_cell
     rng = np.random.default_rng(5)
     for count in (1, 2, 3, 40, 500):
         used = rng.random((2, count)) < 0.8
-        grid = make_grid(count)
+        grid = make_point_grid(count)
         grid.place[:] = place_points(rng, kind, count)
         grid.place[~used[1]] = np.nan
         assert fill_grid(grid, used, 1, points_per_cell)
@@ -53,14 +53,14 @@ def test_cells_around_a_position_have_each_near_point_once(kind, points_per_cell
 
 def test_distant_points_do_not_widen_the_cells():
     rng = np.random.default_rng(5)
-    grid, used = make_grid(2000), np.ones((1, 2000), dtype=bool)
+    grid, used = make_point_grid(2000), np.ones((1, 2000), dtype=bool)
     grid.place[:] = place_points(rng, "distant", 2000)
     fill_grid(grid, used, 0)
     assert np.diff(grid.first[: grid.cells.prod() + 1]).max() < 200
 
 
 def test_points_that_are_not_finite_have_no_grid():
-    grid = make_grid(3)
+    grid = make_point_grid(3)
     grid.place[:] = 1.0
     grid.place[1, 2] = np.inf
     assert not fill_grid(grid, np.ones((1, 3), dtype=bool), 0)

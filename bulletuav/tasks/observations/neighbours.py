@@ -21,7 +21,7 @@ from bulletuav.geometry.grid import (
     cells_around,
     fill_path_grid,
     is_whole,
-    make_grid,
+    make_point_grid,
     num_rows,
     row_items,
 )
@@ -307,7 +307,7 @@ def _write_by_grid(
             # Drones that are not present see others, too
             if not math.isfinite(position[w, i, k] + horizon * velocity[w, i, k]):
                 return False
-    grid = make_grid(num_drones)
+    grid = make_point_grid(num_drones)
     if not fill_path_grid(grid, position, velocity, horizon, present, w):
         return False
     near, least = np.empty(count, dtype=np.int64), np.empty(count)
