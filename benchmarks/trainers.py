@@ -1,15 +1,17 @@
-"""Measure what trainers' adapters cost beside the batched environment that they wrap.
+"""Measure the cost of the environments and of trainers' adapters relative to one of them.
 
     python benchmarks/trainers.py
     python benchmarks/trainers.py --task hover --worlds 64 --dynamics point_mass --rounds 9
+    python benchmarks/trainers.py --worlds 1 --drones 1 --dynamics rigid_body --against pettingzoo
 
-Each case flies the same worlds from the same seeds with the same actions, and starts worlds anew as
+Each case flies the same worlds from the same seeds with the same actions, and resets worlds as
 they end: the flights are equal, decision by decision. All take turns in one process with one
 thread, and the median of the rounds counts. Cases whose library is
 not installed are left out, by name.
 """
 
 import argparse
+import math
 import statistics
 import sys
 import time
@@ -40,6 +42,77 @@ def batched(task: str, worlds: int, options: dict[str, Any]) -> Step:
         env.step(actions)
         if (ended := env.ended).any():
             env.reset(options={"reset_mask": ended})
+
+    return step
+
+
+def pettingzoo(task: str, worlds: int, options: dict[str, Any]) -> Step:
+    """Fly PettingZoo's parallel environment, one for each world."""
+    envs = [bulletuav.parallel_env(task, **options) for _ in range(worlds)]
+    names = envs[0].possible_agents
+    space = envs[0].action_spaces[names[0]]
+    actions = np.random.default_rng(0).uniform(-1, 1, (worlds, len(names), *space.shape))
+    given = [dict(zip(names, own, strict=True)) for own in actions.astype(np.float32)]
+    for k, env in enumerate(envs):
+        env.reset(seed=k)
+
+    def step() -> None:
+        for env, own in zip(envs, given, strict=True):
+            env.step(own if len(env.agents) == len(own) else {one: own[one] for one in env.agents})
+            if not env.agents:
+                env.reset()
+
+    return step
+
+
+def gymnasium_one(task: str, worlds: int, options: dict[str, Any]) -> Step:
+    """Fly Gymnasium's environment, one for each world."""
+    from bulletuav.envs.gymnasium import CentralAviary
+
+    envs = [CentralAviary(task, **options) for _ in range(worlds)]
+    size = math.prod(envs[0].action_space.shape or ())
+    actions = np.random.default_rng(0).uniform(-1, 1, (worlds, size)).astype(np.float32)
+    for k, env in enumerate(envs):
+        env.reset(seed=k)
+
+    def step() -> None:
+        for env, own in zip(envs, actions, strict=True):
+            _, _, terminated, truncated, _ = env.step(own)
+            if terminated or truncated:
+                env.reset()
+
+    return step
+
+
+def gymnasium_vector(task: str, worlds: int, options: dict[str, Any]) -> Step:
+    """Fly Gymnasium's vector environment, which resets in the same step."""
+    from gymnasium.vector import AutoresetMode
+
+    from bulletuav.envs.gymnasium import CentralVectorAviary
+
+    env = CentralVectorAviary(task, worlds, AutoresetMode.SAME_STEP, **options)
+    shape = env.action_space.shape or ()
+    actions = np.random.default_rng(0).uniform(-1, 1, shape).astype(np.float32)
+    env.reset(seed=0)
+
+    def step() -> None:
+        env.step(actions)
+
+    return step
+
+
+def stable_baselines3(task: str, worlds: int, options: dict[str, Any]) -> Step:
+    """Fly the vector environment of stable-baselines3."""
+    from bulletuav.adapters.sb3 import DroneVecEnv
+
+    env = DroneVecEnv(task, worlds, **options)
+    shape = (env.num_envs, *(env.action_space.shape or ()))
+    actions = np.random.default_rng(0).uniform(-1, 1, shape).astype(np.float32)
+    env.seed(0)
+    env.reset()
+
+    def step() -> None:
+        env.step(actions)
 
     return step
 
@@ -204,6 +277,10 @@ SAMPLED = 16
 """Decisions that a runner collects at a time"""
 CASES = {
     "batch_env": batched,
+    "pettingzoo": pettingzoo,
+    "gymnasium": gymnasium_one,
+    "gymnasium, vector": gymnasium_vector,
+    "sb3": stable_baselines3,
     "torchrl": torchrl,
     "torchrl, state": torchrl_state,
     "benchmarl": benchmarl,
@@ -213,7 +290,7 @@ CASES = {
     "rllib, runner": rllib_runner,
     "rllib, runner at once": rllib_runner_at_once,
 }
-"""What makes each case; the first is what others are compared with"""
+"""Function that makes each case, by its name"""
 
 
 def took(step: Step, decisions: int) -> float:
@@ -235,12 +312,14 @@ def main() -> None:
     parser.add_argument("--dynamics", default="bullet")
     parser.add_argument("--rounds", type=int, default=15)
     parser.add_argument("--decisions", type=int, default=10, help="of each case in each round")
+    parser.add_argument("--against", choices=CASES, default="batch_env", help="the reference case")
+    parser.add_argument("--cases", nargs="+", choices=CASES, default=list(CASES))
     given = parser.parse_args()
     options = {"num_drones": given.drones, "dynamics": given.dynamics}
     steps: dict[str, Step] = {}
-    for name, make in CASES.items():
+    for name in dict.fromkeys([given.against, *given.cases]):
         try:
-            steps[name] = make(given.task, given.worlds, options)
+            steps[name] = CASES[name](given.task, given.worlds, options)
         except ImportError as error:
             sys.stdout.write(f"{name} is left out: {error}\n")
     for step in steps.values():
@@ -250,12 +329,15 @@ def main() -> None:
         for name, step in steps.items():
             times[name].append(took(step, given.decisions))
     drones = given.worlds * given.drones
+    sys.stdout.write(f"| case | us | decisions of drones / CPU-s | time of {given.against} |\n")
+    sys.stdout.write("|---|---:|---:|---:|\n")
     for name, own in times.items():
-        # Against the batched environment in the same round, as the machine's speed changes.
-        costs = [(one / base - 1) * 100 for one, base in zip(own, times["batch_env"], strict=True)]
+        # Against the case of the same round, as the machine's speed changes
+        ratios = [one / base for one, base in zip(own, times[given.against], strict=True)]
+        middle = statistics.median(own)
         sys.stdout.write(
-            f"{name}: {drones / statistics.median(own):.4g} decisions of drones / CPU-second, "
-            f"{statistics.median(costs):.1f} % more time than batch_env\n"
+            f"| {name} | {1e6 * middle:.4g} | {drones / middle:.4g} | "
+            f"{statistics.median(ratios):.2f} |\n"
         )
 
 

@@ -102,7 +102,7 @@ class PymarlEnv(LabelledEnvironment):
         self._seed: int | None = None
         self._present = np.zeros(self.n_agents, dtype=bool)
         self._observed = np.zeros((self.n_agents, self.get_obs_size()), np.float32)
-        self._totals = EpisodeTotals()
+        self._totals = EpisodeTotals(self.aviary)
 
     def seed(self, seed: int | None = None) -> None:
         """Seed the next `reset`; None continues the random sequence.
@@ -129,7 +129,6 @@ class PymarlEnv(LabelledEnvironment):
         observations = self.aviary.reset(seeds=seed, **reset_options(options))
         self._seed = None
         self._pictures.clear()
-        self._totals.forget(np.ones(1, dtype=bool))
         self._present[:] = self.aviary.alive[0]
         self._store_observations(observations)
         return self.get_obs(), {} if self._splits_ends else self.get_state()
@@ -160,7 +159,6 @@ class PymarlEnv(LabelledEnvironment):
             raise RuntimeError("the episode is over: call reset()")
         choices = np.where(flown, self._choices(actions), STAY)
         step = self.aviary.step(choices[None, :, None])
-        self._totals.add(step, flown[None])
         # Truncated drones count as present, so that value estimates bootstrap
         self._present = flown & ~step.terminated[0]
         self._store_observations(step.observations)

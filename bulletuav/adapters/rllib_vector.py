@@ -114,7 +114,7 @@ class DroneVectorEnv(Environment, VectorMultiAgentEnv):  # type: ignore[misc]  #
         spaces = (self.single_observation_spaces, self.single_action_spaces)
         # RLlib needs one environment for each world, of which it reads the spaces
         self.envs = [WorldSpaces(spaces) for _ in range(num_envs)]
-        self._totals = EpisodeTotals()
+        self._totals = EpisodeTotals(self.aviary)
 
     def _shown_space(self, drone: int) -> Space[Any]:
         space = shown_space(self.aviary.observer.of(drone).space(), self._symlog)
@@ -136,14 +136,9 @@ class DroneVectorEnv(Environment, VectorMultiAgentEnv):  # type: ignore[misc]  #
         Returns:
             Observations and empty infos by agent, for each world.
         """
-        everywhere = np.ones(self.num_envs, dtype=bool)
-        observations = self._start(everywhere, seed, **reset_options(options))
+        observations = self.aviary.reset(None, seed, **reset_options(options))
         everyone = self.aviary.alive.copy()
         return self._shown(observations, everyone), self._empty_infos(everyone)
-
-    def _start(self, worlds: np.ndarray, seed: Any = None, **places: Any) -> Observation:
-        self._totals.forget(worlds)
-        return self.aviary.reset(worlds, seed, **places)
 
     @exclusive
     def step(self, actions: Sequence[Mapping[str, Any]]) -> Results:
@@ -164,8 +159,7 @@ class DroneVectorEnv(Environment, VectorMultiAgentEnv):  # type: ignore[misc]  #
         flown = aviary.alive.copy()
         fresh = ~np.any(flown, axis=1)
         step = aviary.step(self._numbers(actions, flown))
-        self._totals.add(step, flown)
-        observations = self._start(fresh) if fresh.any() else step.observations
+        observations = aviary.reset(fresh) if fresh.any() else step.observations
         # All drones of worlds that were reset are present, too
         there = flown | (fresh[:, None] & aviary.alive)
         over = ~fresh & ~np.any(aviary.alive, axis=1)

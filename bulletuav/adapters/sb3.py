@@ -15,13 +15,14 @@ world there are no such slots, and the buffers of stable-baselines3 itself can b
 import contextlib
 import importlib
 import random
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from bulletuav.adapters.features import SymlogFeatures as Symlog
 from bulletuav.adapters.sb3_buffers import LivingReplay, LivingRollouts
+from bulletuav.adapters.totals import EpisodeTotals
 from bulletuav.envs.action_masks import STAY
 from bulletuav.envs.aviary import Aviary
 from bulletuav.envs.common_spaces import common_observation
@@ -30,7 +31,6 @@ from bulletuav.envs.env_spec import EnvSpec
 from bulletuav.envs.environment import Environment, exclusive
 from bulletuav.envs.reset_options import reset_options
 from bulletuav.envs.spaces import widest_action_space
-from bulletuav.envs.step import Step
 from bulletuav.envs.viewer import require_single
 from bulletuav.errors import as_int, missing_extra, shown
 from bulletuav.tasks import TaskSource
@@ -156,7 +156,9 @@ class DroneVecEnv(Environment, VecEnv):
         """
         self._shared_reward = shared_reward
         self._staggered = staggered
-        self._until_cut = np.zeros(num_worlds, dtype=int)
+        # Decisions after which the first episode of each world is cut; 0 for never
+        self._cut_after = np.zeros(num_worlds, dtype=int)
+        self._has_cuts = False
         self._task = task
         self._stage_options = [{**options, **stage} for stage in stages]
         self.curriculum = curriculum or Curriculum(len(self._stage_options))
@@ -175,10 +177,12 @@ class DroneVecEnv(Environment, VecEnv):
         require_single(self._render_mode, len(specs))
         # Worlds by stage, created on first use, and the stages still to be seeded
         self._aviaries: dict[int, Aviary] = {}
+        self._totals: dict[int, EpisodeTotals] = {}
         self._seed: int | None = None
         self._unseeded: set[int] = set()
         self._stage = self.curriculum.stage
         self.decisions = 0
+        self._all_present = False  # whether each slot has an active drone
         self._actions: np.ndarray = np.empty(0)
         super().__init__(
             num_worlds * self.num_drones,
@@ -190,9 +194,9 @@ class DroneVecEnv(Environment, VecEnv):
     def aviary(self) -> Aviary:
         """The worlds of the current stage."""
         if self._stage not in self._aviaries:
-            self._aviaries[self._stage] = Aviary(
-                self._task, self.num_worlds, **self._stage_options[self._stage]
-            )
+            made = Aviary(self._task, self.num_worlds, **self._stage_options[self._stage])
+            self._totals[self._stage] = EpisodeTotals(made)
+            self._aviaries[self._stage] = made
         return self._aviaries[self._stage]
 
     def seed(self, seed: int | None = None) -> list[int | None]:
@@ -238,9 +242,10 @@ class DroneVecEnv(Environment, VecEnv):
         """
         everywhere = np.ones(self.num_worlds, dtype=bool)
         observations = self._start(everywhere, True)
-        # Remaining decisions until each world's first episode is cut; it is not cut below 1
+        # An episode is not cut below 1 decision
         horizon = self.aviary.options.horizon if self._staggered else 0
-        self._until_cut = horizon * np.arange(1, self.num_worlds + 1) // self.num_worlds
+        self._cut_after = horizon * np.arange(1, self.num_worlds + 1) // self.num_worlds
+        self._has_cuts = bool(self._cut_after.any())
         return self._rows(observations)
 
     def _start(self, worlds: np.ndarray, uses_seed: bool = False) -> Observation:
@@ -260,17 +265,7 @@ class DroneVecEnv(Environment, VecEnv):
             seed = self._seed
             self._unseeded.discard(self._stage)
         observations = aviary.reset(worlds, seed)
-        # Totals of the episode of each drone (W, N); returns by reward term, "" for their sum
-        if worlds.all():
-            shape = aviary.alive.shape
-            self._returns: dict[str, np.ndarray] = {}
-            self._success = np.zeros(shape, dtype=bool)
-            self._collision = np.zeros(shape, dtype=bool)
-            self._conflicts = np.zeros(shape)
-            self._decisions = np.zeros(shape)
-        others = (self._success, self._collision, self._conflicts, self._decisions)
-        for total in (*self._returns.values(), *others):
-            total[worlds] = 0
+        self._all_present = aviary.num_drones == self.num_drones and bool(aviary.alive.all())
         return observations
 
     def step_async(self, actions: np.ndarray) -> None:
@@ -292,16 +287,26 @@ class DroneVecEnv(Environment, VecEnv):
             stage does not use; and infos of the slots.
         """
         aviary = self.aviary
-        flown = aviary.alive.copy()
-        step = aviary.step(self._actions[:, : aviary.num_drones])
-        self._add(step, flown)
+        aviary.require_started()
+        aviary.write_actions(self._actions[:, : aviary.num_drones])
+        aviary.decide()
+        if not self._all_present or aviary.any_left or self._has_cuts:
+            return self._end_episodes(aviary)
+        # Most decisions: each slot has a drone, and its episode continues
+        self.decisions += self.num_envs
+        rewards = self._shared(aviary.rewards).astype(np.float32).reshape(-1)
+        infos: list[Info] = [{} for _ in range(self.num_envs)]
+        seen = _by_slot(aviary.observations(), lambda array: array.reshape(-1, *array.shape[2:]))
+        return seen, rewards, np.zeros(self.num_envs, dtype=bool), infos
+
+    def _end_episodes(self, aviary: Aviary) -> tuple[Any, np.ndarray, np.ndarray, list[Info]]:
+        """Return the results of a decision, after a reset of the worlds whose drones are done."""
+        flown = aviary.worlds.state.flown.copy()
+        self.decisions += int(flown.sum())
+        over = np.any(flown, axis=1) & ~np.any(aviary.alive, axis=1)
+        cut = (aviary.steps == self._cut_after) & ~over
         # Finished episodes of whole worlds may change the stage
-        was_flown = np.any(flown, axis=1)
-        over = was_flown & ~np.any(aviary.alive, axis=1)
-        self._until_cut[over] = 0
-        self._until_cut -= 1
-        cut = self._until_cut == 0
-        successes = aviary.mean_of_members(self._success)
+        successes = aviary.mean_of_members(self._totals[self._stage].success)
         for world in np.flatnonzero(over):
             # Otherwise the episode belongs to a previous stage
             if self.curriculum.stage == self._stage:
@@ -309,60 +314,49 @@ class DroneVecEnv(Environment, VecEnv):
         change = self.curriculum.stage != self._stage
         # Finished episodes of drones
         ended = flown & (change | cut[:, None] | ~aviary.alive)
-        infos = self._infos(step, ended, cut)
+        observations = aviary.observations()
+        infos = self._infos(observations, ended, cut)
         over |= cut
+        if self._has_cuts:
+            self._cut_after[over | change] = 0
+            self._has_cuts = bool(self._cut_after.any())
         dones = self._wide(ended | over[:, None] | change, True)
         # Rewards are NaN without a drone
-        earned = np.where(flown, step.rewards, 0.0)
-        # Shared reward: the mean of the world
-        if self._shared_reward:
-            mean = earned.mean(axis=1, keepdims=True)
-            earned = np.broadcast_to(mean, earned.shape)
-        masked = np.where(flown, earned, np.nan)
-        rewards = self._wide(masked, np.nan)
-        observations = self._start(over) if over.any() else step.observations
-        return self._rows(observations), rewards.astype(np.float32), dones, infos
+        earned = self._shared(np.where(flown, aviary.rewards, 0.0))
+        rewards = self._wide(np.where(flown, earned, np.nan), np.nan).astype(np.float32)
+        self._all_present = False
+        if over.any():
+            observations = self._start(over)
+        return self._rows(observations), rewards, dones, infos
 
-    def _add(self, step: Step, flown: np.ndarray) -> None:
-        """Add a step to the totals of the drones that were active before it, `flown` (W, N)."""
-        terms = {"": step.rewards}
-        for name, term in step.info.items():
-            if name.startswith("reward/"):
-                terms[name] = term
-        for name, term in terms.items():
-            before = self._returns.get(name, 0.0)
-            self._returns[name] = before + np.where(flown, term, 0.0)
-        self._success = np.where(flown, step.info["success"], self._success)
-        self._collision |= flown & step.info["collision"]
-        self._conflicts += flown * step.info["conflicts"]
-        self._decisions += flown
-        self.decisions += int(flown.sum())
+    def _shared(self, rewards: np.ndarray) -> np.ndarray:
+        """Return rewards (W, N), or the mean of each world for all its drones if they share it."""
+        if not self._shared_reward:
+            return rewards
+        return np.broadcast_to(rewards.mean(axis=1, keepdims=True), rewards.shape)
 
-    def _infos(self, step: Step, ended: np.ndarray, cut: np.ndarray) -> list[Info]:
+    def _infos(self, observations: Observation, ended: np.ndarray, cut: np.ndarray) -> list[Info]:
         """Return the infos of all slots.
 
         They have totals for the episodes that ended (W, N), except in worlds that are cut (W,).
         """
         infos: list[Info] = [{} for _ in range(self.num_envs)]
-        if not ended.any():
-            return infos
+        aviary, totals = self.aviary, self._totals[self._stage]
         # One info for each drone whose episode ended; all others stay empty
-        hz = self.aviary.options.decision_hz
-        for w, i in np.argwhere(ended):
-            episode = {
-                "r": float(self._returns[""][w, i]),
-                "l": int(self._decisions[w, i]),
-                "t": float(self._decisions[w, i] / hz),
-                "conflicts": float(self._conflicts[w, i]),
-                "collision": float(self._collision[w, i]),
-            }
-            terms = {name: float(term[w, i]) for name, term in self._returns.items() if name}
+        for w, i in np.argwhere(ended).tolist():
             info: Info = {
-                "terminal_observation": part(step.observations, (w, i)),
-                "TimeLimit.truncated": not step.terminated[w, i],
+                "terminal_observation": part(observations, (w, i)),
+                "TimeLimit.truncated": not aviary.terminated[w, i],
             }
             if not cut[w]:
-                info |= {"is_success": bool(self._success[w, i]), "episode": episode | terms}
+                own, decisions = totals.of_drone(w, i), int(aviary.steps[w])
+                info["is_success"] = bool(own.pop("success"))
+                info["episode"] = {
+                    "r": totals.return_of(w, i),
+                    "l": decisions,
+                    "t": decisions / aviary.options.decision_hz,
+                    **own,
+                }
             infos[w * self.num_drones + i] = info
         return infos
 
@@ -385,9 +379,7 @@ class DroneVecEnv(Environment, VecEnv):
             kept = np.where(mask, wide, 0)
             return kept.astype(array.dtype, copy=False)
 
-        if isinstance(observations, dict):
-            return {name: rows(array) for name, array in observations.items()}
-        return rows(observations)
+        return _by_slot(observations, rows)
 
     def action_masks(self) -> np.ndarray:
         """Return the mask of each slot, as MaskablePPO of sb3-contrib asks for it.
@@ -449,3 +441,10 @@ class DroneVecEnv(Environment, VecEnv):
         """Disconnect from the physics engines; calling it again does nothing."""
         for aviary in self._aviaries.values():
             aviary.close()
+
+
+def _by_slot(observations: Observation, rows: Callable[[np.ndarray], np.ndarray]) -> Any:
+    """Convert each array (W, N, ...) of observations to rows (slots, ...)."""
+    if isinstance(observations, dict):
+        return {name: rows(array) for name, array in observations.items()}
+    return rows(observations)

@@ -44,8 +44,8 @@ PROCESSES = ("workers", "start_method", "timeout")
 """Options of `batch_env` that are not options of the environment"""
 
 
-Arrays = dict[tuple[str, ...], Any]
-"""Arrays (W, N, ...) of drones by their key in a group, and the state (W, K)"""
+Arrays = dict[tuple[str, ...], np.ndarray]
+"""Arrays (W, N, ...) of drones by their key in a group"""
 
 
 class DroneTensorEnv(Environment, EnvBase):  # type: ignore[misc]  # has no types
@@ -123,7 +123,6 @@ class DroneTensorEnv(Environment, EnvBase):  # type: ignore[misc]  # has no type
         self._alive, self._terminated, self._truncated = np.zeros((3, num_worlds, drones), bool)
         self._seed: int | None = None
         self._unseeded = np.zeros(num_worlds, dtype=bool)
-        self._last: Arrays = {}
         # Numbers that the drones of each group observe, if these differ
         kinds, of = spec.observer.kinds, spec.observer.of
         self._widths = {
@@ -131,6 +130,7 @@ class DroneTensorEnv(Environment, EnvBase):  # type: ignore[misc]  # has no type
             for group, own in rows.items()
         }
         self._make_specs(spec, rows)
+        self._make_buffers()
 
     def _make_specs(self, spec: EnvSpec, groups: dict[str, list[int]]) -> None:
         """Set the specs: shape and type of each entry."""
@@ -160,6 +160,20 @@ class DroneTensorEnv(Environment, EnvBase):  # type: ignore[misc]  # has no type
         self.full_observation_spec_unbatched = seen
         self.full_reward_spec_unbatched = reward
         self.full_done_spec_unbatched = done
+
+    def _make_buffers(self) -> None:
+        """Allocate the tensors of a step, which steps overwrite and return copies of."""
+        specs = (self.full_observation_spec, self.full_done_spec, self.full_reward_spec)
+        seen, done, reward = (one.zero().cpu() for one in specs)
+        self._first = seen.update(done)
+        # Nested data are copied, tensors are shared
+        self._next = self._first.copy().update(reward)
+        if self.device is None:
+            self._first, self._next = self._first.clear_device_(), self._next.clear_device_()
+        self._views = {
+            key if isinstance(key, tuple) else (key,): tensor.numpy()
+            for key, tensor in self._next.items(include_nested=True, leaves_only=True)
+        }
 
     def _flag(self, *shape: int) -> Categorical:
         """Return a spec of bools."""
@@ -214,14 +228,11 @@ class DroneTensorEnv(Environment, EnvBase):  # type: ignore[misc]  # has no type
         self._alive = self.batch.alive
         # Absent drones have ended
         self._terminated |= worlds[:, None] & ~self._alive
-        arrays = self._collect_arrays(observations, info, self._alive)
-        if kept.any():
-            # Other worlds keep the last values
-            for name, array in arrays.items():
-                mixed = self._last[name].copy()
-                mixed[worlds] = array[worlds]
-                arrays[name] = mixed
-        return self._tensors(arrays)
+        # Other worlds keep the last values
+        chosen = slice(None) if worlds.all() else worlds
+        self._write(self._collect_arrays(observations, info, self._alive), chosen)
+        self._write_ends()
+        return self._copied(self._first)
 
     def _reset_proc_data(
         self, tensordict: TensorDictBase | None, tensordict_reset: TensorDictBase
@@ -253,16 +264,16 @@ class DroneTensorEnv(Environment, EnvBase):  # type: ignore[misc]  # has no type
         observations, rewards, terminated, truncated, info = self.batch.step(
             self._actions(tensordict)
         )
-        # Ends persist until the reset, while the episodes of other drones continue
-        self._terminated = self._terminated | terminated
-        self._truncated = self._truncated | truncated
-        self._alive = self.batch.alive
-        # Observations after the step, and rewards of the step, by group
-        out = self._tensors(self._collect_arrays(observations, info, flown))
-        earned = rewards.astype(np.float32)[..., None]
-        for group, rows in self._rows.items():
-            out.get(group).set("reward", torch.from_numpy(earned[:, rows]))
-        return out
+        self._write(
+            {("reward",): rewards[..., None], **self._collect_arrays(observations, info, flown)}
+        )
+        if terminated.any() or truncated.any():
+            # Ends persist until the reset, while the episodes of other drones continue
+            self._terminated = self._terminated | terminated
+            self._truncated = self._truncated | truncated
+            self._alive = self.batch.alive
+            self._write_ends()
+        return self._copied(self._next)
 
     def _actions(self, tensordict: TensorDictBase) -> np.ndarray:
         """Collect the actions of all groups: (W, N, A), or (W, N) discrete."""
@@ -283,45 +294,48 @@ class DroneTensorEnv(Environment, EnvBase):  # type: ignore[misc]  # has no type
         if isinstance(observations, dict):
             arrays = {("observation", name): array for name, array in observations.items()}
         for name in self._infos:
-            arrays["info", name] = find_choice("info", name, info).astype(np.float32)[..., None]
+            arrays["info", name] = find_choice("info", name, info)[..., None]
         if not flown.all():
             # In place: no other code uses these arrays
             for array in arrays.values():
                 array[~flown] = 0
         if self._has_masks:
-            arrays[ACTION_MASK,] = info[ACTION_MASK].astype(bool)
-        if self._has_state:
-            arrays[STATE] = self.batch.state()
+            arrays[ACTION_MASK,] = info[ACTION_MASK]
         return arrays
 
-    def _tensors(self, arrays: Arrays) -> TensorDict:
-        """Convert arrays and ends of episodes to tensors."""
-        self._last = arrays
+    def _write(self, arrays: Arrays, worlds: Any = ...) -> None:
+        """Write arrays (W, N, ...) of drones, and the state, for some worlds or all."""
+        views = self._views
+        for group, rows in self._rows.items():
+            for key, array in arrays.items():
+                view = views[(group, *key)]
+                # A group may observe fewer numbers than others
+                view[worlds] = array[worlds][:, rows, ..., : view.shape[-1]]
+        if self._has_state:
+            views[STATE][worlds] = self.batch.state()[worlds]
+
+    def _write_ends(self) -> None:
+        """Write the ends of the episodes of drones and worlds, and the masks of active drones."""
         over: np.ndarray = ~np.any(self._alive, axis=1)
         terminated: np.ndarray = np.all(self._terminated, axis=1)
         whole = (over, terminated, over & ~terminated)
-        # Copies, as the caller may write to the tensors
-        ends = (~self._alive, self._terminated.copy(), self._truncated.copy())
-        source: dict[str, Any] = {
-            name: torch.from_numpy(array[:, None]) for name, array in zip(ENDS, whole, strict=True)
-        }
-        of_drones = dict(arrays)
-        if self._has_state:
-            source["state"] = torch.from_numpy(of_drones.pop(STATE))
-        of_drones |= {(name,): array[..., None] for name, array in zip(ENDS, ends, strict=True)}
-        of_drones["mask",] = self._alive.copy()
+        of_drones = (~self._alive, self._terminated, self._truncated)
+        for name, of_worlds, own in zip(ENDS, whole, of_drones, strict=True):
+            self._views[name,][:, 0] = of_worlds
+            for group, rows in self._rows.items():
+                self._views[group, name][..., 0] = own[:, rows]
         for group, rows in self._rows.items():
-            own = {key: torch.from_numpy(array[:, rows]) for key, array in of_drones.items()}
-            width = self._widths[group]
-            if width is not None:
-                own["observation",] = own["observation",][..., :width]
-            drones = (self.num_worlds, len(self.group_map[group]))
-            source[group] = TensorDict(own, batch_size=drones, device=self.device)
-            if self._has_masks:
-                # A copy, as the caller may write to the tensors
-                valid = source[group].get(ACTION_MASK).clone()
+            self._views[group, "mask"][:] = self._alive[:, rows]
+
+    def _copied(self, data: TensorDictBase) -> TensorDictBase:
+        """Return a copy of data on the device of the environment, which belongs to the caller."""
+        if self._has_masks:
+            for group in self._rows:
+                valid = data.get((group, ACTION_MASK)).to(self.device, copy=True)
                 self.full_action_spec[group, "action"].update_mask(valid)
-        return TensorDict(source, batch_size=self.batch_size, device=self.device)
+        if self.device is None or self.device.type == "cpu":
+            return data.clone()
+        return data.to(self.device)
 
     def render(self, world: int = 0) -> np.ndarray | None:
         """Render an image of one world; see `BatchAviary.render`."""

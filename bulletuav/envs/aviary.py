@@ -128,6 +128,11 @@ class Aviary(Environment):
         self.viewer: Viewer | None = make_viewer(self) if is_served else None
 
     @property
+    def any_left(self) -> bool:
+        """Whether the episode of any drone ended in the last decision."""
+        return self.worlds.any_left
+
+    @property
     def program(self) -> Program | None:
         """Program of a decision; None before the first one."""
         return self.simulation.program
@@ -205,6 +210,17 @@ class Aviary(Environment):
             RuntimeError: If called before the first reset or after `close`.
         """
         self.require_started()
+        self.write_actions(actions)
+        self.decide()
+        ends = (self.terminated.copy(), self.truncated.copy())
+        return Step(self.observations(), self.rewards.copy(), *ends, lazy_infos(self.info_table()))
+
+    def write_actions(self, actions: np.ndarray) -> None:
+        """Write actions (W, N, A) to `given`, for `decide`.
+
+        Raises:
+            ValueError: If the actions have a wrong shape or type.
+        """
         given = self.given
         if (
             type(actions) is np.ndarray
@@ -214,9 +230,6 @@ class Aviary(Environment):
             given[:] = actions  # the program checks them
         else:
             given[:] = self._spec.actions(actions, self.decides)
-        self.decide()
-        ends = (self.terminated.copy(), self.truncated.copy())
-        return Step(self.observations(), self.rewards.copy(), *ends, lazy_infos(self.info_table()))
 
     def decide(self) -> None:
         """Simulate one decision with the actions that were written to `given`.
@@ -287,6 +300,8 @@ class Aviary(Environment):
             values: (W, N).
             members: (W, N) bool, the drones; None for those of the running episodes.
         """
+        if self.num_drones == 1:
+            return np.array(values[:, 0])
         if not self.options.has_absent:
             every: np.ndarray = values.mean(axis=1)
             return every

@@ -9,6 +9,7 @@ The agent observes the global state of all drones: a flat vector, or in the form
 observation, action and reward.
 """
 
+from functools import partial
 from typing import Any
 
 import gymnasium
@@ -306,16 +307,24 @@ class CentralVectorAviary(LabelledEnvironment, gymnasium.vector.VectorEnv[Any, A
         batch = joint_numbers(self.aviary.action, actions, self.num_envs)
         if self.aviary.action.choices is not None:
             batch = batch[..., 0]
-        members = self.aviary.members.copy()  # a reset within the step draws others
+        # A reset within the step draws other members
+        members = self.aviary.members.copy() if self.aviary.options.has_absent else None
         observations, rewards, _, cut, infos = self._batch.step(batch)
-        # An episode that time ended for one of the drones is truncated.
-        ended = self._batch.ended
-        truncated = ended & cut.any(axis=1)
-        terminated = ended & ~truncated
-        if "final_obs" in infos:
-            infos["final_obs"] = self._observer.observe(infos["final_obs"], infos["final_state"])
+        truncated, terminated = self._batch.ended, self._batch.ended
+        if truncated.any():
+            # An episode that time ended for one of the drones is truncated
+            truncated &= cut.any(axis=1)
+            terminated &= ~truncated
+            infos = lazy_infos(partial(self._joined_infos, infos))
         mean_rewards = self.aviary.mean_of_members(rewards, members)
         return self._observer.observe(observations), mean_rewards, terminated, truncated, infos
+
+    def _joined_infos(self, infos: dict[str, Any]) -> dict[str, Any]:
+        """Return infos with the final observation of the agent instead of those of the drones."""
+        if "final_obs" not in infos:
+            return infos
+        final = self._observer.observe(infos["final_obs"], infos["final_state"])
+        return infos | {"final_obs": final}
 
     @exclusive
     def set_condition(self, drones: Any = None, worlds: Any = None, **changes: Any) -> None:

@@ -83,9 +83,14 @@ class Simulation:
         self.update_scene()
         self.start.is_account_complete = True
         program = self.program or self.make_program()
+        self._start_decision()
+        program.run()
+
+    def _start_decision(self) -> None:
+        """Clear what Python keeps of the previous decision."""
         self.worlds.contacts.start_decision()
         self.worlds.forget_derived()
-        program.run()
+        self.worlds.any_left = False
 
     def decide_by_stages(self) -> dict[str, float]:
         """Simulate one decision as `decide` does, stage by stage, with the same bits.
@@ -100,8 +105,7 @@ class Simulation:
         program = self.program or self.make_program()
         if self._staged is None or self._staged[0] is not program:
             self._staged = program, self.stage_programs()
-        self.worlds.contacts.start_decision()
-        self.worlds.forget_derived()
+        self._start_decision()
         times = {}
         for name, part in self._staged[1].items():
             begin = time.perf_counter()

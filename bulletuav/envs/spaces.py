@@ -109,6 +109,8 @@ def joint_numbers(action: Action, given: object, num_worlds: int) -> np.ndarray:
     expected = (num_worlds,) if is_one_choice else (num_worlds, sum(sizes))
     if numbers.shape != expected:
         raise ValueError(f"actions have shape {numbers.shape}: {expected} is needed")
+    if sum(sizes) == drones * width:
+        return numbers.reshape(num_worlds, drones, width)
     # The numbers fill the used columns of each drone, in order
     batch = np.zeros((num_worlds, drones, width))
     size_of_drone = np.array(sizes)[:, None]

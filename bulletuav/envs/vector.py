@@ -153,17 +153,19 @@ class BatchAviary(LabelledEnvironment):
         actions = numbers_of("actions are", actions)
         if self.aviary.action.choices is not None:
             actions = actions[..., None]
-        # Worlds with active drones, and finished ones that are reset instead
-        flying = self.aviary.alive.any(axis=1)
-        fresh = self._ended & ~flying & (self.autoreset_mode != AutoresetMode.DISABLED)
         observations, rewards, terminated, truncated, info = self.aviary.step(actions)
         infos: dict[str, Any] = info
+        if not self.aviary.any_left and not self._ended.any():
+            return observations, rewards, terminated, truncated, infos
+        # Worlds in which drones flew, and finished ones that are reset instead
+        flying = self.aviary.worlds.state.flying
+        fresh = self._ended & ~flying & (self.autoreset_mode != AutoresetMode.DISABLED)
         ended = flying & ~np.any(self.aviary.alive, axis=1)
         # If a reset raises, as no start is found, the next step tries again
         self._ended = fresh | ended
         if fresh.any():
             observations = self.aviary.reset(fresh)
-            infos = self._with_fresh(info, fresh)
+            infos = self._with_fresh(info, fresh, {})
         self._ended = ended
         if self._ended.any() and self.autoreset_mode == AutoresetMode.SAME_STEP:
             final = {
@@ -175,14 +177,16 @@ class BatchAviary(LabelledEnvironment):
                 "_final_info": self.ended,
             }
             observations = self.aviary.reset(self._ended)
-            infos = self._with_fresh(info, self._ended) | final
+            infos = self._with_fresh(info, self._ended, final)
         return observations, rewards, terminated, truncated, infos
 
-    def _with_fresh(self, info: dict[str, np.ndarray], worlds: np.ndarray) -> dict[str, Any]:
-        """Return infos with those of the new episodes in `worlds` (W,)."""
+    def _with_fresh(
+        self, info: dict[str, np.ndarray], worlds: np.ndarray, final: dict[str, Any]
+    ) -> dict[str, Any]:
+        """Return infos with those of the new episodes in `worlds` (W,), and final entries."""
         first = self.aviary.first_info(worlds)
         return lazy_infos(
-            lambda: {name: _merged(worlds, first[name], info[name]) for name in first}
+            lambda: {name: _merged(worlds, first[name], info[name]) for name in first} | final
         )
 
     @exclusive

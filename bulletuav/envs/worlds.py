@@ -47,6 +47,7 @@ class Worlds(Parts):
         loads: Flight of the task's loads; None without loads.
         members: (W, N) bool, drones of the episode; False for absent ones.
         masks: Computes the masks of discrete actions; None without the option.
+        any_left: Whether the episode of any drone ended in the last decision.
     """
 
     account: FrameMeasures
@@ -81,6 +82,7 @@ class Worlds(Parts):
             None if task.loads is None else LoadFlight(task.loads, self.dynamics, self.state, given)
         )
         self.members = np.ones((self.num_worlds, options.num_drones), dtype=bool)
+        self.any_left = False
         self.masks = self.make_masks(self.action) if options.action_masks else None
 
     def _make_state(self, num_obstacles: int) -> None:

@@ -23,7 +23,12 @@ class EndEpisodes(Stage):
         if worlds.task.restarts is not None:
             charge = np.ones_like(charge)  # empty batteries do not end episodes
         given = (state.ended, charge, state.flown, state.last)
-        program.call(end_episodes, *given, *ends, otherwise=lambda: worlds.engine.park(state.left))
+
+        def remove_left() -> None:
+            worlds.any_left = True
+            worlds.engine.park(state.left)
+
+        program.call(end_episodes, *given, *ends, otherwise=remove_left)
 
 
 @kernel
