@@ -279,7 +279,7 @@ CASES = {
     "batch_env": batched,
     "pettingzoo": pettingzoo,
     "gymnasium": gymnasium_one,
-    "gymnasium, vector": gymnasium_vector,
+    "gymnasium,vector": gymnasium_vector,
     "sb3": stable_baselines3,
     "torchrl": torchrl,
     "torchrl, state": torchrl_state,

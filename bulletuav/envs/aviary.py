@@ -303,7 +303,8 @@ class Aviary(Environment):
         if self.num_drones == 1:
             return np.array(values[:, 0])
         if not self.options.has_absent:
-            every: np.ndarray = values.mean(axis=1)
+            # Faster than `values.mean(axis=1)`, with the same bits
+            every: np.ndarray = np.add.reduce(values, axis=1) / self.num_drones
             return every
         members = self.members if members is None else members
         own: np.ndarray = np.where(members, values, 0.0).sum(axis=1) / members.sum(axis=1)

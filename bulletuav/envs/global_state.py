@@ -1,6 +1,5 @@
 """Global state: the true state of all drones, then of the world."""
 
-import dataclasses
 from collections.abc import Mapping
 from itertools import chain
 from typing import Any
@@ -68,13 +67,14 @@ class GlobalState:
             (W, K) float32, clipped to the bounds.
         """
         # Without readings, observations have the true state
-        rows = self.drones.observe(dataclasses.replace(frame, readings={}), alive)
+        rows = self.drones.observe(frame.without_readings(), alive)
         assert isinstance(rows, np.ndarray)  # no pictures among its blocks
         state = np.zeros((len(alive), len(self.labels)), dtype=np.float32)
         state[:, self.parts[DRONES]] = rows.reshape(len(alive), -1)
         for name, block in self._world.items():
             state[:, self.parts[name]] = block.compute(frame, alive)
-        return np.clip(state, self.low, self.high)
+        np.maximum(state, self.low, out=state)
+        return np.minimum(state, self.high, out=state)
 
     def split(self, state: Any) -> dict[str, np.ndarray]:
         """Split states by name.
