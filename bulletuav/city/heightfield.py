@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from bulletuav.compiled.kernel import func, kernel
 from bulletuav.geometry.solids import box_corners
 
 BASE = -2.0
@@ -61,27 +62,9 @@ class Heightfield:
         Returns:
             (...,) m; 0 outside the ground.
         """
-        place = (plan + self.sides / 2) / self.cell
-        last = np.array(self.corners.shape) - 2
-        index = np.clip(np.floor(place), 0, last).astype(int)
-        i, j = np.moveaxis(index, -1, 0)
-        u, v = np.moveaxis(place - index, -1, 0)
-        # Heights of the corners: low x and low y first
-        low, right = self.corners[i, j], self.corners[i + 1, j]
-        left, high = self.corners[i, j + 1], self.corners[i + 1, j + 1]
-        # Two triangles on either side of each diagonal
-        rising = np.where(
-            u >= v,
-            low + u * (right - low) + v * (high - right),
-            low + v * (left - low) + u * (high - left),
-        )
-        falling = np.where(
-            u + v <= 1,
-            low + u * (right - low) + v * (left - low),
-            high + (1 - u) * (left - high) + (1 - v) * (right - high),
-        )
-        is_inside = (np.abs(plan) <= self.sides / 2).all(axis=-1)
-        surface: np.ndarray = np.where(is_inside, np.maximum(rising, falling), 0.0)
+        surface = np.empty(plan.shape[:-1])
+        points = np.ascontiguousarray(plan, dtype=float).reshape(-1, 2)
+        _write_heights(self.corners, self.sides, points, surface.reshape(-1))
         return surface
 
     def columns(self) -> list[np.ndarray]:
@@ -144,3 +127,44 @@ class Heightfield:
         both[1, 1, :, :-1] = np.minimum(north[:, :-1], -south[:, 1:])
         both[1, 0, :, 1:] = np.minimum(south[:, 1:], -north[:, :-1])
         return both
+
+
+@func
+def surface_height(corners: np.ndarray, sides: np.ndarray, x: float, y: float) -> float:
+    """Return the height of the surface at a point; see `Heightfield.height`.
+
+    Args:
+        corners: (K + 1, L + 1) heights at the corners of the cells, m; (0, 0) for flat ground.
+        sides: (2,) lengths of the ground along x and y, m.
+        x: Position east, m.
+        y: Position north, m.
+    """
+    half_x, half_y = sides[0] / 2, sides[1] / 2
+    if corners.size == 0 or not (abs(x) <= half_x and abs(y) <= half_y):
+        return 0.0
+    along, across = corners.shape[0] - 1, corners.shape[1] - 1
+    u, v = (x + half_x) / (sides[0] / along), (y + half_y) / (sides[1] / across)
+    i, j = min(int(u), along - 1), min(int(v), across - 1)
+    u, v = u - i, v - j
+    # Heights of the corners: low x and low y first
+    low, right = corners[i, j], corners[i + 1, j]
+    left, high = corners[i, j + 1], corners[i + 1, j + 1]
+    # Two triangles on either side of each diagonal
+    if u >= v:
+        rising = low + u * (right - low) + v * (high - right)
+    else:
+        rising = low + v * (left - low) + u * (high - left)
+    if u + v <= 1:
+        falling = low + u * (right - low) + v * (left - low)
+    else:
+        falling = high + (1 - u) * (left - high) + (1 - v) * (right - high)
+    return max(rising, falling)
+
+
+@kernel
+def _write_heights(
+    corners: np.ndarray, sides: np.ndarray, points: np.ndarray, surface: np.ndarray
+) -> None:
+    """Write the heights (M,) of the surface at points (M, 2), m."""
+    for m in range(points.shape[0]):
+        surface[m] = surface_height(corners, sides, points[m, 0], points[m, 1])

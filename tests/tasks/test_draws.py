@@ -7,7 +7,7 @@ import bulletuav
 from bulletuav.compiled.kernel import kernel
 from bulletuav.geometry.rotation import exp_map
 from bulletuav.tasks.hover import Hover
-from bulletuav.tasks.parts.draws import draw_uniform, get_random_source
+from bulletuav.tasks.parts.draws import draw_integer, draw_uniform, get_random_source
 from bulletuav.tasks.parts.headings import draw_velocities, unit_directions
 
 
@@ -24,6 +24,36 @@ def test_uniform_numbers_are_those_of_numpy(bits):
     fill(get_random_source(ours), -2.5, 4.0, drawn)
     np.testing.assert_array_equal(drawn, theirs.uniform(-2.5, 4.0, 50))
     assert ours.random() == theirs.random()
+
+
+@kernel
+def fill_integers(source, count, out):
+    for k in range(out.shape[0]):
+        out[k] = draw_integer(source, count)
+
+
+@pytest.mark.parametrize("count", [1, 2, 7, 1000, 2**31 - 1, 2**31])
+@pytest.mark.parametrize("bits", [np.random.PCG64, np.random.Philox, np.random.MT19937])
+def test_integers_are_those_of_numpy(bits, count):
+    ours, theirs = (np.random.Generator(bits(7)) for _ in range(2))
+    drawn = np.empty(50, dtype=np.int64)
+    fill_integers(get_random_source(ours), count, drawn)
+    np.testing.assert_array_equal(drawn, theirs.integers(count, size=50))
+    assert ours.integers(10) == theirs.integers(10)
+    assert ours.random() == theirs.random()
+
+
+@kernel
+def fill_mixed(source, out):
+    for k in range(out.shape[0]):
+        out[k] = draw_integer(source, 5) + draw_uniform(source, 0.0, 1.0)
+
+
+def test_integers_and_uniform_numbers_take_turns_as_in_numpy():
+    ours, theirs = (np.random.default_rng(3) for _ in range(2))
+    drawn = np.empty(9)
+    fill_mixed(get_random_source(ours), drawn)
+    assert drawn.tolist() == [theirs.integers(5) + theirs.uniform() for _ in range(9)]
 
 
 def test_directions_have_length_one_and_point_east_where_there_is_no_way():

@@ -11,13 +11,16 @@ from typing import Any
 import numpy as np
 
 from bulletuav.city.generator import generate
+from bulletuav.city.heightfield import surface_height
 from bulletuav.city.imports import READERS
 from bulletuav.city.model import City
 from bulletuav.city.statistics import KINDS, MAX_VALUES, Statistics, parameters
 from bulletuav.city.streets import Streets
 from bulletuav.city.terrain import TERRAINS, Terrain, find_terrain, generate_terrain
+from bulletuav.compiled.kernel import func, kernel
 from bulletuav.engine.tiles import TILE_PITCH
 from bulletuav.errors import as_sequence, find_choice, finite, shown
+from bulletuav.geometry.rotation import dot, minus, point
 from bulletuav.geometry.solids import Solids
 from bulletuav.sensors.base import Label
 from bulletuav.tasks.base import Task
@@ -25,6 +28,12 @@ from bulletuav.tasks.frame import Frame, Spawn, TaskContext
 from bulletuav.tasks.observations.base import Block
 from bulletuav.tasks.parts.base import Part
 from bulletuav.tasks.parts.charging_pads import ChargingPads, has_pads
+from bulletuav.tasks.parts.draws import (
+    RandomSource,
+    draw_integer,
+    draw_uniform,
+    get_random_source,
+)
 
 RASTER_CELL = 4.0
 """Side of the cells of the raster from which positions are drawn, m"""
@@ -48,6 +57,8 @@ MEASURES = (
 """City parameters in infos and the global state"""
 MAX_TRIES = 200
 """Maximum number of draws of a position before an error is raised"""
+NO_HILLS, NO_STARTS = np.zeros((0, 0)), np.zeros((0, 3))
+"""Arguments of `draw_positions` for flat ground, and for positions without a start"""
 
 
 @dataclass(frozen=True)
@@ -485,20 +496,13 @@ class CityLayouts(Part):
         lowest, highest = self.config.height
         if start is None and self._takes_off:
             highest = lowest  # so that `min_separation` holds on the ground
-        places = np.empty((count, 3))
-        for i in range(count):
-            for _ in range(MAX_TRIES):
-                places[i, :2] = self.outdoors(rng, layout, 1)[0]
-                places[i, 2] = rng.uniform(lowest, highest)
-                places[i] = self.raise_above_ground(layout, places[i])
-                # First, as most goals are too close and this check is cheap
-                if start is not None and math.dist(start[i], places[i]) < leg:
-                    continue
-                gaps = np.linalg.norm(places[:i] - places[i], axis=1)
-                if gaps.min(initial=np.inf) >= self.config.min_separation:
-                    break
-            else:
-                raise self._make_room_error(layout, count, "")
+        city, places = self.cities[layout], np.empty((count, 3))
+        corners = NO_HILLS if city.ground is None else city.ground.corners
+        ground = (self._raster[layout], self._cells[layout] / 2, corners, city.sides)
+        rules = (float(lowest), float(highest), float(self.config.min_separation), leg)
+        starts = NO_STARTS if start is None else start
+        if draw_positions(get_random_source(rng), ground, rules, starts, places):
+            raise self._make_room_error(layout, count, "")
         return places
 
     def _make_room_error(self, layout: int, count: int, also: str) -> ValueError:
@@ -539,6 +543,59 @@ class CityLayouts(Part):
         """
         place = self.places(rng, layout, count)
         return Spawn(position=place, goal=place, layout=layout)
+
+
+@kernel
+def draw_positions(
+    source: RandomSource,
+    ground: tuple[np.ndarray, float, np.ndarray, np.ndarray],
+    rules: tuple[float, float, float, float],
+    start: np.ndarray,
+    places: np.ndarray,
+) -> bool:
+    """Draw positions outdoors, one after the other, by rejection sampling.
+
+    Args:
+        source: Source of random numbers.
+        ground: Centres (M, 2) of the raster's cells outdoors, m, and half their side, m; heights at
+            the corners of the ground's cells, m, and (2,) sides of the ground, m; see
+            `surface_height`.
+        rules: Minimum and maximum height above the ground, minimum distance from each other, and
+            minimum distance from the start, m.
+        start: (N, 3) start of each drone, m, or empty.
+        places: (N, 3) output, m.
+
+    Returns:
+        Whether no position was found for one of the drones, in MAX_TRIES draws.
+    """
+    raster, half, corners, sides = ground
+    lowest, highest, apart, leg = rules
+    for i in range(places.shape[0]):
+        is_found = False
+        for _ in range(MAX_TRIES):
+            cell = draw_integer(source, raster.shape[0])
+            x = raster[cell, 0] + draw_uniform(source, -half, half)
+            y = raster[cell, 1] + draw_uniform(source, -half, half)
+            z = draw_uniform(source, lowest, highest) + surface_height(corners, sides, x, y)
+            # First, as most goals are too close
+            if start.shape[0] and _distance(start, i, x, y, z) < leg:
+                continue
+            is_found = True
+            for k in range(i):
+                is_found = is_found and _distance(places, k, x, y, z) >= apart
+            if is_found:
+                places[i, 0], places[i, 1], places[i, 2] = x, y, z
+                break
+        if not is_found:
+            return True
+    return False
+
+
+@func
+def _distance(places: np.ndarray, k: int, x: float, y: float, z: float) -> float:
+    """Return the distance of a point from the k-th of positions (N, 3), m."""
+    gap = minus(point(places, k), (x, y, z))
+    return math.sqrt(dot(gap, gap))
 
 
 def add_city(task: Task[Any]) -> CityLayouts:
