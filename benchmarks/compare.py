@@ -19,6 +19,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+import llvmlite.binding as llvm
 import matplotlib
 from rich.console import Console
 from rich.progress import Progress
@@ -28,6 +29,7 @@ matplotlib.use("Agg")
 from matplotlib import pyplot
 
 import bulletuav
+from bulletuav.compiled.shipped import target_features
 
 ALWAYS = ("PyFlyt", "crazyflow", "VMAS")
 """Peers that are installed from the package registry"""
@@ -284,11 +286,18 @@ def write_csv(rows: list[Row], path: Path) -> None:
         writer.writerows([*row, row.reached] for row in rows)
 
 
+def name_processor() -> str:
+    """Return the processor's name, and the vectors of bulletuav's code, which ratios depend on."""
+    model = llvm.get_host_cpu_name()
+    vectors = "AVX-512" if "+avx512f" in target_features().split(",") else "AVX2 or less"
+    return f"{model} (code for {vectors})"
+
+
 def table(rows: list[Row]) -> list[str]:
     """Lay out the rows as lines of Markdown."""
     lines = [
-        f"bulletuav {bulletuav.__version__}. Rates per CPU-second, one thread; "
-        "ratio: median over interleaved rounds.",
+        f"bulletuav {bulletuav.__version__} on {name_processor()}. "
+        "Rates per CPU-second, one thread; ratio: median over interleaved rounds.",
         "",
         "| case | against | unit | bulletuav | the other | ratio | goal |",
         "|---|---|---|---|---|---|---|",

@@ -93,8 +93,17 @@ def run(command: Sequence[Path | str], context: dict[str, int], frames: int, see
     return Run(**json.loads(ended.stdout))
 
 
-def rows(title: str, ours: Sequence[Run], theirs: Sequence[Run]) -> list[Row]:
-    """Compare runs in pairs: medians of both, and of their ratio, at each of the rates."""
+def rows(
+    title: str, ours: Sequence[Run], theirs: Sequence[Run], has_goal: bool = True
+) -> list[Row]:
+    """Compare runs in pairs: medians of both, and of their ratio, at each of the rates.
+
+    Args:
+        title: What is compared.
+        ours: Runs of bulletuav.
+        theirs: Runs of the other simulator.
+        has_goal: False with one environment, where PPO itself takes most of the time.
+    """
     result = []
     for unit, (rate, goal) in RATES.items():
         our_rates = [rate(run) for run in ours]
@@ -107,7 +116,7 @@ def rows(title: str, ours: Sequence[Run], theirs: Sequence[Run]) -> list[Row]:
             ours=statistics.median(our_rates),
             theirs=statistics.median(their_rates),
             ratio=statistics.median(ratios),
-            goal=goal,
+            goal=goal if has_goal else None,
         )
         result.append(row)
     return result
@@ -200,7 +209,7 @@ def main(argv: Sequence[str] | None = None) -> None:
                 for name, command in commands.items():
                     runs[name].append(run(command, context, arguments.frames, seed))
                 progress.advance(task)
-            table += rows(title, *runs.values())
+            table += rows(title, *runs.values(), has_goal=context["environments"] > 1)
             notes += [parts(f"{title}, {name}", learned) for name, learned in runs.items()]
     report(table, notes, arguments.out, "learning")
 

@@ -81,7 +81,7 @@ def test_both_learn_in_turn_with_the_same_settings(learning, tmp_path, monkeypat
     assert capsys.readouterr().out == (tmp_path / "learning.md").read_text()
     with open(tmp_path / "learning.csv") as file:
         rows = list(csv.DictReader(file))
-    assert [row["goal"] for row in rows] == ["5.0", "", ""] * 3
+    assert [row["goal"] for row in rows] == ["", "", ""] + ["5.0", "", ""] * 2
 
 
 @pytest.mark.parametrize(

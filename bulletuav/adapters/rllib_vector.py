@@ -28,7 +28,7 @@ from bulletuav.envs.environment import Environment, exclusive
 from bulletuav.envs.reset_options import reset_options
 from bulletuav.envs.spaces import drone_action_space
 from bulletuav.errors import as_int, missing_extra, numbers_of, shown
-from bulletuav.tasks.observations.observer import Observation, part
+from bulletuav.tasks.observations.observer import part
 
 try:
     from ray.rllib.callbacks.utils import make_callback

@@ -28,7 +28,7 @@ from bulletuav.tasks.observations.observer import Observation
 
 try:
     import torch
-    from tensordict import TensorDict, TensorDictBase
+    from tensordict import TensorDictBase
     from torchrl.data import Bounded, Categorical, Composite, OneHot, Unbounded
     from torchrl.envs import EnvBase
     from torchrl.envs.utils import MarlGroupMapType, check_marl_grouping
@@ -290,9 +290,11 @@ class DroneTensorEnv(Environment, EnvBase):  # type: ignore[misc]  # has no type
         self, observations: Observation, info: dict[str, Any], flown: np.ndarray
     ) -> Arrays:
         """Collect the arrays of all worlds, with zeros for drones not in `flown` (W, N)."""
-        arrays: Arrays = {("observation",): observations}
+        arrays: Arrays
         if isinstance(observations, dict):
             arrays = {("observation", name): array for name, array in observations.items()}
+        else:
+            arrays = {("observation",): observations}
         for name in self._infos:
             arrays["info", name] = find_choice("info", name, info)[..., None]
         if not flown.all():

@@ -158,7 +158,7 @@ def surface_height(corners: np.ndarray, sides: np.ndarray, x: float, y: float) -
         falling = low + u * (right - low) + v * (left - low)
     else:
         falling = high + (1 - u) * (left - high) + (1 - v) * (right - high)
-    return max(rising, falling)
+    return float(max(rising, falling))
 
 
 @kernel

@@ -154,22 +154,18 @@ def surface_below(
 def _cast_down(port: EnginePort, position: np.ndarray, surface: np.ndarray, covered: int) -> None:
     """Write the height of the surface below the drones for which `cover` wrote NaN."""
     drone, start, end = vertical_rays(position, surface, covered)
-    fraction, left = cast_scenery_rays(port.scenery, start, end, drone[:, 0], port.compiled)
-    # Bullet casts the remaining rays.
-    count = left.shape[0]
-    if count > 0:
-        first = np.empty((count, 3))
-        last = np.empty((count, 3))
-        share = np.empty(count)
-        for k in range(count):
-            m = left[k]
+    if port.compiled:
+        fraction = cast_scenery_rays(port.scenery, start, end, drone[:, 0])
+    else:
+        fraction = np.empty(covered)
+        first = np.empty((covered, 3))
+        last = np.empty((covered, 3))
+        for m in range(covered):
             for axis in range(3):
                 origin = port.offset[drone[m, 0], 0, axis]
-                first[k, axis] = start[m, axis] + origin
-                last[k, axis] = end[m, axis] + origin
-        port.rays(port.session, count, first.ctypes, last.ctypes, VISIBLE, share.ctypes)
-        for k in range(count):
-            fraction[left[k]] = share[k]
+                first[m, axis] = start[m, axis] + origin
+                last[m, axis] = end[m, axis] + origin
+        port.rays(port.session, covered, first.ctypes, last.ctypes, VISIBLE, fraction.ctypes)
     write_surface(surface, drone, start, fraction)
 
 

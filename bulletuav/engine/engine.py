@@ -88,8 +88,8 @@ class Engine(EngineQueries):
                 before `set_layouts`.
             first_world: Index of the first tile.
             live: Whether to open a window.
-            rays: "compiled", or "bullet" to cast rays in Bullet if there is more than ground and
-                boxes: slower, accurate to a millimetre, for comparison.
+            rays: "compiled", or "bullet" to cast rays by Bullet's `rayTestBatch`: slower, accurate
+                to a millimetre, for comparison.
             contacts: Whether Bullet resolves contacts, instead of `bulletuav.contact`.
 
         Raises:

@@ -61,7 +61,7 @@ class EngineQueries(ABC):
             obstacles: The K obstacles of each world.
             layouts: The city layouts, one of which can be present in a world at a time.
             offset: (W, 3) origins of the tiles, m.
-            compiled: False to cast rays in Bullet if there is more than ground and boxes.
+            compiled: False to cast rays in Bullet.
         """
         self.shape = (len(offset), len(airframes))
         self.obstacle_radius = np.array([obstacle.radius for obstacle in obstacles])
@@ -140,8 +140,8 @@ class EngineQueries(ABC):
     ) -> np.ndarray:
         """Cast rays against ground, bodies, buildings and, optionally, drones.
 
-        An engine with `rays="bullet"` casts rays in Bullet if there is more than ground and boxes.
-        Rays against drones are never cast in Bullet, whose poses are those before its last step.
+        An engine with `rays="bullet"` casts them by Bullet's `rayTestBatch`, except against drones,
+        whose poses in Bullet are those before its last step.
 
         Args:
             start: (M, 3) starts, m.
@@ -153,13 +153,14 @@ class EngineQueries(ABC):
         Returns:
             (M,) fraction of each ray before its hit, 1 without a hit.
         """
-        fraction, left = cast_scenery_rays(self._scenery, start, end, world, self._compiled)
-        # Bullet casts the remaining rays, clipped to the world's tile.
-        if len(left):
-            last, share = within_tile(start[left], end[left])
-            offset = self._offset[world[left], 0]
-            met = self._bullet.calls.rays(start[left] + offset, last + offset, VISIBLE)
-            fraction[left] = np.where(met < 1, met * share, 1.0)
+        if self._compiled:
+            fraction = cast_scenery_rays(self._scenery, start, end, world)
+        else:
+            # Clipped to the world's tile
+            last, share = within_tile(start, end)
+            offset = self._offset[world, 0]
+            met = self._bullet.calls.rays(start + offset, last + offset, VISIBLE)
+            fraction = np.where(met < 1, met * share, 1.0)
         if drones is not None:
             swarm, mask = drones
             cast_drone_rays(fraction, start, end, world, swarm, mask, self._scenery.table)

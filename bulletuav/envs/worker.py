@@ -28,6 +28,8 @@ POLL_TIME = 2e-4
 
 Waking up takes as long as several polls, and many decisions are shorter.
 """
+YIELD_CORE = getattr(os, "sched_yield", lambda: None)
+"""Let other processes run that wait for the core of this one"""
 SharedLayout = dict[str, tuple[tuple[int, ...], Any]]
 """Shape and NumPy type of each shared array, by name; the first axis is that of worlds"""
 
@@ -224,6 +226,8 @@ def poll_number(numbers: np.ndarray, number: int, poll_time: float) -> bool:
     while numbers[0] != number:
         if time.perf_counter() > end:
             return False
+        # To processes that share the core, such as the one that is waited for
+        YIELD_CORE()
     return True
 
 

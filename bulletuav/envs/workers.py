@@ -16,6 +16,7 @@ import numpy as np
 from gymnasium.spaces import Box, Dict, Space
 from gymnasium.vector import AutoresetMode
 
+from bulletuav.cores import count_cores
 from bulletuav.envs.env_spec import MAX_WORLDS, EnvSpec
 from bulletuav.envs.environment import LabelledEnvironment, exclusive
 from bulletuav.envs.given_starts import split_worlds
@@ -108,8 +109,8 @@ class WorkerAviary(LabelledEnvironment):
             raise ValueError("debug is True: debuggers see one process, so it needs workers=1")
         self._timeout = float(timeout)
         self._copies = as_bool("copy", copy)
-        # Polling for answers occupies a core
-        self._poll_time = POLL_TIME if _count_cores() >= workers else 0.0
+        # Polling for answers occupies a core, and uses up quotas
+        self._poll_time = POLL_TIME if count_cores() >= workers else 0.0
         self.observation_space: Box | Dict = self._observer.space()
         self.action_space: Space[Any] = widest_action_space(self._spec.action)
         # The worlds of each process
@@ -380,13 +381,6 @@ class WorkerAviary(LabelledEnvironment):
         self._finalizer()
         if self._shard is not None:
             self._shard.close()
-
-
-def _count_cores() -> int:
-    """Return the number of cores that this process may use, without quotas of containers."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 def _check_processes(workers: Any, start_method: Any, timeout: Any) -> None:

@@ -233,8 +233,8 @@ def _intersect_posed_shape(
 
 @allocating
 def cast_scenery_rays(
-    scenery: Scenery, start: np.ndarray, end: np.ndarray, world: np.ndarray, compiled: bool
-) -> tuple[np.ndarray, np.ndarray]:
+    scenery: Scenery, start: np.ndarray, end: np.ndarray, world: np.ndarray
+) -> np.ndarray:
     """Cast rays against everything except drones, as `Engine.cast_rays` does.
 
     Args:
@@ -242,12 +242,9 @@ def cast_scenery_rays(
         start: (M, 3) start points of the rays, m.
         end: (M, 3) end points of the rays, m.
         world: (M,) index of the world of each ray.
-        compiled: False to leave rays that may hit more than ground and boxes to Bullet.
 
     Returns:
-        The hit fraction (M,) of each ray, 1 if it hits nothing, and the indices (L,) of the rays
-        that are left for Bullet: none if `compiled`, else all rays if there are bodies, or those in
-        layouts that do not consist of boxes only.
+        The hit fraction (M,) of each ray, 1 if it hits nothing.
     """
     # Read the fields of the scenery once: nested tuples are slow in loops
     city_grid = scenery.city_grid
@@ -259,15 +256,9 @@ def cast_scenery_rays(
     first_body = scenery.first_body
     bodies = body_place.shape[1]
     fraction = np.ones(world.shape[0])
-    left = [0 for _ in range(0)]  # an empty list whose type numba knows
     for m in range(world.shape[0]):
         w = world[m]
         layout = city_grid.layout[w]
-        shaped = layout != NO_LAYOUT and not city_grid.boxes[layout]
-        # Rays left for Bullet are only listed
-        if not compiled and (bodies > 0 or shaped):
-            left.append(m)
-            continue
         here = point(start, m)
         there = point(end, m)
         change = minus(there, here)
@@ -287,7 +278,7 @@ def cast_scenery_rays(
             )
             found = min(found, _first_hit(enters, leaves))
         fraction[m] = found
-    return fraction, np.array(left, dtype=np.int64)
+    return fraction
 
 
 @kernel

@@ -81,9 +81,9 @@ def test_the_number_of_processes_changes_no_bit(workers, options):
         assert_same(mine, theirs, None)
 
 
-@pytest.mark.parametrize("cores", [1, 2])
+@pytest.mark.parametrize("cores", [1, 1.1, 2])
 def test_who_has_fewer_cores_than_processes_sleeps_at_once(cores, monkeypatch):
-    monkeypatch.setattr("bulletuav.envs.workers._count_cores", lambda: cores)
+    monkeypatch.setattr("bulletuav.envs.workers.count_cores", lambda: cores)
     looked = []
     look = poll_number
     monkeypatch.setattr(

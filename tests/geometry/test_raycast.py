@@ -9,7 +9,6 @@ from bulletuav.city.generator import generate
 from bulletuav.engine.calls import VISIBLE
 from bulletuav.engine.engine import RAY_METHODS, Engine
 from bulletuav.geometry.obstacle import Obstacle
-from bulletuav.geometry.raycast import cast_scenery_rays
 from bulletuav.geometry.solids import Solids, box_corners
 from bulletuav.vehicle.airframes import load_airframe
 
@@ -91,15 +90,6 @@ def test_a_ramp_by_hand(make_world, rays):
     starts = [(0, 0, 5), (18, 0, 5), (0, 0, 12), (0, 6, 5)]
     expected = (0.5, 2 / 12, 20 / 30, 1)
     np.testing.assert_allclose(cast(engine, starts, ends), expected, atol=near)
-
-
-def test_rays_left_to_the_engine(make_world):
-    """Asked for, those that may meet a hull; without, none."""
-    engine = make_world(Solids(TOWER, (RAMP,)))
-    for compiled, expected in ((True, []), (False, [0])):
-        ray = np.zeros((1, 3)), np.ones((1, 3)), np.zeros(1, int)
-        _, left = cast_scenery_rays(engine.scenery, *ray, compiled)
-        assert left.tolist() == expected
 
 
 OCTAHEDRON = tuple(map(tuple, np.concatenate([np.eye(3), -np.eye(3)]).tolist()))
@@ -221,3 +211,39 @@ def test_corners_of_boxes_are_those_of_the_mesh():
     assert sorted(map(tuple, corners)) == sorted(
         (x, y, z) for x in (20, 40) for y in (-5, 5) for z in (0, 60)
     )
+
+
+def random_world(make_world, rays):
+    """Make a world with houses, a ramp and four obstacles at random poses, from the same seed."""
+    rng = np.random.default_rng(11)
+    boxes = generate("urban", 300.0, rng, 1.0).solids.boxes
+    shapes = (
+        Obstacle("sphere", (6.0,)),
+        Obstacle("box", (4.0, 8.0, 12.0)),
+        Obstacle("cylinder", (5.0, 9.0)),
+        Obstacle("hull", corners=tuple(tuple(9.0 * x for x in corner) for corner in OCTAHEDRON)),
+    )
+    engine = make_world(Solids(boxes, (RAMP,)), shapes, rays=rays)
+    place = rng.uniform((-100, -100, 30), (100, 100, 80), (1, len(shapes), 3))
+    turn = Rotation.random(len(shapes), rng=rng).as_quat()[None]
+    engine.set_obstacles(place, turn, np.ones(1, dtype=bool))
+    return engine
+
+
+def test_bullet_casts_all_rays_and_agrees_with_compiled_rays(make_world):
+    compiled, bullet = (random_world(make_world, rays) for rays in ("compiled", "bullet"))
+    asked = []
+    by_bullet = bullet._bullet.calls.rays
+    bullet._bullet.calls.rays = lambda *given: asked.append(len(given[0])) or by_bullet(*given)
+    rng = np.random.default_rng(12)
+    start = rng.uniform((-150, -150, 1), (150, 150, 90), (20000, 3))
+    way = rng.normal(size=start.shape)
+    way *= rng.uniform(1, 200, (len(start), 1)) / np.linalg.norm(way, axis=1, keepdims=True)
+    one, two = cast(compiled, start, start + way), cast(bullet, start, start + way)
+    assert asked == [len(start)]
+    assert 0.3 < (one < 1).mean() < 0.9
+    gap = np.abs(one - two) * np.linalg.norm(way, axis=1)
+    # Bullet's shapes reach beyond their edges, where rays that graze one differ
+    assert (gap > 1e-3).mean() < 3e-3
+    assert (gap > 1e-2).mean() < 1e-3
+    assert np.median(gap) < 1e-12

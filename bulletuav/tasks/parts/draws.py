@@ -106,4 +106,4 @@ def draw_integer(source: RandomSource, count: int) -> int:
         lowest = (_WORD + 1 - count) % count
         while product & _WORD < lowest:
             product = _next_word(source[2], source[1]) * count
-    return product >> 32
+    return int(product >> 32)
