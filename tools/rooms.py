@@ -14,7 +14,7 @@ from pathlib import Path
 
 PACKAGE = Path(__file__).parents[1] / "bulletuav"
 ROOMS = (
-    ("version", "errors", "interrupts", "deferred_import"),
+    ("version", "errors", "interrupts", "cores", "deferred_import"),
     ("compiled", "files", "parsing", "registry"),
     ("catalogue",),
     ("geometry", "earth"),
