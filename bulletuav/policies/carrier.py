@@ -7,7 +7,7 @@ import numpy as np
 from bulletuav.control.actions import limit_norm
 from bulletuav.envs.aviary import Aviary
 from bulletuav.policies.base import Policy, require_supported_task
-from bulletuav.policies.observed import require_blocks, unpack_blocks
+from bulletuav.policies.readings import require_blocks, unpack_blocks
 from bulletuav.registry import register
 from bulletuav.tasks.observations.observer import Observation
 from bulletuav.tasks.transport import Transport

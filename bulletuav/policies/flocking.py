@@ -12,6 +12,7 @@ References:
 """
 
 import math
+from abc import abstractmethod
 from typing import NamedTuple
 
 import numpy as np
@@ -83,6 +84,16 @@ class FlockPolicy(Observed):
             speed=float(config.flock_speed),
             leads=config.leader,
         )
+
+    @abstractmethod
+    def flock_velocities(self, traffic: Traffic) -> np.ndarray:
+        """Return the velocities that the rules of the algorithm ask for, (W, N, 3) m/s."""
+
+    def avoid(
+        self, traffic: Traffic, preferred: np.ndarray, parameters: AvoidanceParameters
+    ) -> np.ndarray:
+        """Return `flock_velocities`, limited to the maximum speed; see `Avoidance.avoid`."""
+        return limit_norm(self.flock_velocities(traffic), parameters.max_speed)
 
 
 @func
@@ -188,12 +199,9 @@ class Reynolds(FlockPolicy):
 
     name = "reynolds"
 
-    def avoid(
-        self, traffic: Traffic, preferred: np.ndarray, parameters: AvoidanceParameters
-    ) -> np.ndarray:
-        """Compute `reynolds_velocities`; see `Avoidance.avoid`."""
-        velocities = reynolds_velocities(traffic, self.rules, REYNOLDS)
-        return limit_norm(velocities, parameters.max_speed)
+    def flock_velocities(self, traffic: Traffic) -> np.ndarray:
+        """Return `reynolds_velocities`; see `FlockPolicy`."""
+        return reynolds_velocities(traffic, self.rules, REYNOLDS)
 
 
 @allocating
@@ -301,12 +309,9 @@ class OlfatiSaber(FlockPolicy):
 
     name = "olfati_saber"
 
-    def avoid(
-        self, traffic: Traffic, preferred: np.ndarray, parameters: AvoidanceParameters
-    ) -> np.ndarray:
-        """Add `olfati_saber_accelerations` to the velocities; see `Avoidance.avoid`."""
-        velocities = olfati_saber_velocities(traffic, self.rules, OLFATI_SABER)
-        return limit_norm(velocities, parameters.max_speed)
+    def flock_velocities(self, traffic: Traffic) -> np.ndarray:
+        """Return `olfati_saber_velocities`; see `FlockPolicy`."""
+        return olfati_saber_velocities(traffic, self.rules, OLFATI_SABER)
 
 
 @func
@@ -449,12 +454,9 @@ class Vasarhelyi(FlockPolicy):
 
     name = "vasarhelyi"
 
-    def avoid(
-        self, traffic: Traffic, preferred: np.ndarray, parameters: AvoidanceParameters
-    ) -> np.ndarray:
-        """Compute `vasarhelyi_velocities`; see `Avoidance.avoid`."""
-        velocities = vasarhelyi_velocities(traffic, self.rules, VASARHELYI)
-        return limit_norm(velocities, parameters.max_speed)
+    def flock_velocities(self, traffic: Traffic) -> np.ndarray:
+        """Return `vasarhelyi_velocities`; see `FlockPolicy`."""
+        return vasarhelyi_velocities(traffic, self.rules, VASARHELYI)
 
 
 @func

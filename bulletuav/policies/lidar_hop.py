@@ -5,7 +5,12 @@ import numpy as np
 from bulletuav.control.actions import limit_norm
 from bulletuav.envs.aviary import Aviary
 from bulletuav.policies.base import Policy
-from bulletuav.policies.readings import CEILING_MARGIN, Readings, decode_goal_offset
+from bulletuav.policies.readings import (
+    CEILING_MARGIN,
+    decode_goal_offset,
+    require_blocks,
+    unpack_blocks,
+)
 from bulletuav.policies.straight import APPROACH
 from bulletuav.policies.street_map import level_beams
 from bulletuav.registry import register
@@ -35,7 +40,7 @@ class LidarHop(Policy):
             ValueError: If the action type is not supported, or a required block is not observed.
         """
         super().__init__(aviary)
-        self.readings = Readings(self.name, aviary, ("goal", "room", "lidar"))
+        require_blocks(self.name, aviary, ("goal", "room", "lidar"))
         self._chosen, self._directions = level_beams(aviary)
 
     def reset(self, mask: np.ndarray) -> None:
@@ -43,20 +48,18 @@ class LidarHop(Policy):
 
     def act(self, observations: Observation, swarm: Swarm) -> np.ndarray:
         """Fly to the goal, or climb if the path is blocked; see `Policy.act`."""
-        readings = self.readings(observations)
-        offset = decode_goal_offset(readings["goal"])
+        seen = unpack_blocks(self.aviary, observations)
+        offset = decode_goal_offset(seen["goal"])
         flat = np.linalg.norm(offset[..., :2], axis=-1, keepdims=True)
         towards = offset[..., :2] / np.maximum(flat, 1e-9)
         # Obstacles on beams towards the goal, nearer than the goal.
         cosine = towards @ self._directions.T
-        near = readings["lidar"][..., self._chosen] < np.minimum(BLOCKED, flat)
+        near = seen["lidar"][..., self._chosen] < np.minimum(BLOCKED, flat)
         blocked = ((cosine > CONE) & near).any(axis=-1)
         # Fly level until above the goal, then descend, so as not to descend onto an obstacle.
         wanted = np.zeros(offset.shape)
         wanted[..., :2] = np.where(blocked[..., None], 0.0, offset[..., :2])
         over = flat[..., 0] < BLOCKED
         wanted[..., 2] = np.where(over & ~blocked, offset[..., 2], 0.0)
-        wanted[..., 2] = np.where(
-            blocked, readings["room"][..., 2] - CEILING_MARGIN, wanted[..., 2]
-        )
+        wanted[..., 2] = np.where(blocked, seen["room"][..., 2] - CEILING_MARGIN, wanted[..., 2])
         return self.encoded(limit_norm(APPROACH * wanted, SPEED))

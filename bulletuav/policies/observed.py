@@ -4,7 +4,6 @@ Each policy is a state-based policy whose `Traffic` comes from observation block
 therefore include the effects of noise, losses and the number of observed neighbours.
 """
 
-from collections.abc import Iterable
 from typing import ClassVar
 
 import numpy as np
@@ -14,6 +13,7 @@ from bulletuav.policies.avoidance import Avoidance
 from bulletuav.policies.half_spaces import AvoidanceParameters
 from bulletuav.policies.mvp import ModifiedVoltagePotential
 from bulletuav.policies.orca import Orca
+from bulletuav.policies.readings import decode_goal_offset, require_blocks, unpack_blocks
 from bulletuav.policies.traffic import Traffic, find_surfaces, tabulate_buildings
 from bulletuav.policies.voronoi import Voronoi
 from bulletuav.registry import register
@@ -53,16 +53,9 @@ class Observed(Avoidance):
             ValueError: If the observation lacks a block.
         """
         super().__init__(aviary)
-        there = aviary.observer.slices
         is_blocked = self.avoids_obstacles and bool(aviary.task.obstacles())
         obstacles = (("obstacles",),) if is_blocked else ()
-        for group in (*self.needed, *obstacles):
-            if not there.keys() & set(group):
-                raise ValueError(
-                    f"policy {self.name!r} needs the observation block "
-                    f"{' or '.join(map(repr, group))}, and the observation has {', '.join(there)}: "
-                    f"add it with option observation"
-                )
+        require_blocks(self.name, aviary, (*self.needed, *obstacles))
 
     def traffic(self, observations: Observation, swarm: Swarm) -> Traffic:
         """Return the traffic around each drone as observed."""
@@ -114,44 +107,11 @@ class Observed(Avoidance):
         return unpack_blocks(self.aviary, observations)
 
 
-def require_blocks(policy: str, aviary: Aviary, needed: Iterable[str]) -> None:
-    """Check that all blocks that a policy reads are observed.
-
-    Raises:
-        ValueError: If one is not.
-    """
-    for name in needed:
-        if name not in aviary.observer.slices:
-            raise ValueError(
-                f"policy {policy!r} reads block {name!r}, which is not observed: leave "
-                f"observation out, or add the block"
-            )
-
-
-def unpack_blocks(aviary: Aviary, observations: Observation) -> dict[str, np.ndarray]:
-    """Split the observations of an aviary into blocks, and undo their normalisation.
-
-    Returns:
-        (W, N, width of the block) arrays by name.
-    """
-    observer = aviary.observer
-    seen: dict[str, np.ndarray] = {}
-    parts = observer.split(observations)
-    for name, part in observer.slices.items():
-        seen[name] = np.array(parts[name], dtype=float)
-        if aviary.options.normalise:
-            low, high = np.array([(one.low, one.high) for one in observer.labels[part]]).T
-            seen[name] = (low + high) / 2 + (high - low) / 2 * seen[name]
-    return seen
-
-
 def _goal(seen: dict[str, np.ndarray]) -> np.ndarray:
     """Return the offsets to the goals, (W, N, 3) m, from the observed block."""
     if "goal_offset" in seen:
         return seen["goal_offset"]
-    goal = seen["goal"]
-    goal_offset: np.ndarray = goal[..., :3] * goal[..., 3:]
-    return goal_offset
+    return decode_goal_offset(seen["goal"])
 
 
 def _others(seen: dict[str, np.ndarray], shape: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:

@@ -8,7 +8,12 @@ import numpy as np
 from bulletuav.control.actions import limit_norm
 from bulletuav.envs.aviary import Aviary
 from bulletuav.policies.base import Policy
-from bulletuav.policies.readings import Readings, cruise_height_difference, decode_goal_offset
+from bulletuav.policies.readings import (
+    cruise_height_difference,
+    decode_goal_offset,
+    require_blocks,
+    unpack_blocks,
+)
 from bulletuav.policies.straight import APPROACH
 from bulletuav.registry import register
 from bulletuav.tasks.observations.observer import Observation
@@ -36,16 +41,16 @@ class OverRoofs(Policy):
                 observed.
         """
         super().__init__(aviary)
-        self.readings = Readings(self.name, aviary, ("goal", "room"))
+        require_blocks(self.name, aviary, ("goal", "room"))
 
     def reset(self, mask: np.ndarray) -> None:
         """Do nothing: the policy is stateless."""
 
     def act(self, observations: Observation, swarm: Swarm) -> np.ndarray:
         """Climb, cruise or descend; see `Policy.act`."""
-        readings = self.readings(observations)
-        offset = decode_goal_offset(readings["goal"])
-        wanted = next_phase(offset, cruise_height_difference(offset, readings["room"]))
+        seen = unpack_blocks(self.aviary, observations)
+        offset = decode_goal_offset(seen["goal"])
+        wanted = next_phase(offset, cruise_height_difference(offset, seen["room"]))
         return self.encoded(limit_norm(APPROACH * wanted, self.aviary.options.max_speed))
 
 

@@ -8,9 +8,9 @@ from bulletuav.control.actions import limit_norm
 from bulletuav.envs.aviary import Aviary
 from bulletuav.geometry.rotation import axes, from_euler, heading, product
 from bulletuav.policies.base import Policy, require_supported_task
-from bulletuav.policies.observed import require_blocks
 from bulletuav.policies.pad_approach import LEAD, PadTarget, approach_pads, keep_apart, match_pads
 from bulletuav.policies.pad_vision import PadTracks, find_pads, picture_rays
+from bulletuav.policies.readings import require_blocks
 from bulletuav.registry import register
 from bulletuav.sensors.camera import Camera
 from bulletuav.sensors.mounts import as_mounts

@@ -16,8 +16,8 @@ import numpy as np
 from bulletuav.envs.aviary import Aviary
 from bulletuav.policies.base import require_supported_task
 from bulletuav.policies.coverage_geometry import pairwise_distances
-from bulletuav.policies.observed import unpack_blocks
 from bulletuav.policies.planner import PathFollower
+from bulletuav.policies.readings import require_blocks, unpack_blocks
 from bulletuav.registry import register
 from bulletuav.tasks.observations.neighbours import PER_NEIGHBOUR
 from bulletuav.tasks.observations.observer import Observation
@@ -71,12 +71,7 @@ class PatrolPolicy(PathFollower):
         """
         super().__init__(aviary)
         self.task = require_supported_task(self, Patrol)
-        for name in NEEDED:
-            if name not in aviary.observer.slices:
-                raise ValueError(
-                    f"policy {self.name!r} needs the observation block {name!r}: add it with "
-                    f"option observation, or charging_pads for the pads"
-                )
+        require_blocks(self.name, aviary, NEEDED)
         shape = aviary.alive.shape
         levels = np.array(LEVELS)[np.arange(shape[1]) % len(LEVELS)]
         self.height = levels * self.task.arena_high[2]

@@ -1,7 +1,6 @@
 """Observation blocks by name and in physical units, for policies that use observations only."""
 
-from collections.abc import Mapping
-from types import MappingProxyType
+from collections.abc import Iterable
 
 import numpy as np
 
@@ -12,73 +11,49 @@ CEILING_MARGIN = 2.5
 """Margin below the ceiling, m: for wind, and for the overshoot of braking"""
 MAX_HEIGHT_ABOVE_GOAL = 50.0
 """Maximum cruise height above the goal, m"""
-BLOCK_CONTENTS: Mapping[str, str] = MappingProxyType(
-    {
-        "goal": "direction and distance of the goal",
-        "velocity": "its velocity",
-        "room": "the ceiling",
-        "lidar": "the range finder",
-        "position": "its position",
-        "all_neighbours": "the other drones",
-        "clue_offset": "the offset to the clue",
-        "sighting": "the victim in sight",
-        "victims_found": "the fraction of victims found",
-        "searched_cells": "the ground that is searched",
-    }
-)
-"""Contents of each block, for messages"""
 
 
-class Readings:
-    """Observation blocks of an aviary, by name and in physical units.
+def require_blocks(policy: str, aviary: Aviary, needed: Iterable[str | tuple[str, ...]]) -> None:
+    """Check that the blocks that a policy reads are observed.
 
-    Attributes:
+    Args:
+        policy: Name of the policy, for the message.
         aviary: The observed worlds.
+        needed: Names of blocks; a tuple of names for a block that others can replace.
+
+    Raises:
+        ValueError: If one is not.
     """
+    observed = aviary.observer.slices
+    for group in needed:
+        choices = (group,) if isinstance(group, str) else group
+        if not observed.keys() & set(choices):
+            raise ValueError(
+                f"policy {policy!r} needs the observation block "
+                f"{' or '.join(map(repr, choices))}, and the observation has "
+                f"{', '.join(observed)}: add it with option observation"
+            )
 
-    def __init__(self, policy: str, aviary: Aviary, needed: tuple[str, ...]) -> None:
-        """Check that the required blocks are observed.
 
-        Args:
-            policy: Name of the policy that reads the blocks, for the message.
-            aviary: The observed worlds.
-            needed: Names of the blocks.
+def unpack_blocks(aviary: Aviary, observations: Observation) -> dict[str, np.ndarray]:
+    """Split the observations of an aviary into blocks, and undo their normalisation.
 
-        Raises:
-            ValueError: If a block is not observed.
-        """
-        self.aviary = aviary
-        self._needed = needed
-        shown = aviary.observer.slices
-        for name in needed:
-            if name not in shown:
-                known = ",".join([*shown, name])
-                raise ValueError(
-                    f"policy {policy!r} reads block {name!r}, {BLOCK_CONTENTS[name]}, which is not "
-                    f"observed: set observation={known!r}"
-                )
+    Args:
+        aviary: The observed worlds.
+        observations: (W, N, D) observations of the drones, or a dict of such arrays.
 
-    def __call__(self, observations: Observation) -> dict[str, np.ndarray]:
-        """Return the blocks of observations, in physical units.
-
-        Args:
-            observations: (W, N, D) observations of the drones, or a dict of such arrays.
-
-        Returns:
-            Arrays (W, N, width of the block) by name, m and m/s.
-        """
-        observer = self.aviary.observer
-        blocks = observer.split(observations)
-        readings: dict[str, np.ndarray] = {}
-        for name in self._needed:
-            numbers = np.asarray(blocks[name], dtype=float)
-            if self.aviary.options.normalise:
-                labels = observer.labels[observer.slices[name]]
-                low = np.array([label.low for label in labels])
-                high = np.array([label.high for label in labels])
-                numbers = (low + high) / 2 + numbers * (high - low) / 2
-            readings[name] = numbers
-        return readings
+    Returns:
+        (W, N, width of the block) arrays by name, in physical units.
+    """
+    observer = aviary.observer
+    seen: dict[str, np.ndarray] = {}
+    parts = observer.split(observations)
+    for name, part in observer.slices.items():
+        seen[name] = np.array(parts[name], dtype=float)
+        if aviary.options.normalise:
+            low, high = np.array([(one.low, one.high) for one in observer.labels[part]]).T
+            seen[name] = (low + high) / 2 + (high - low) / 2 * seen[name]
+    return seen
 
 
 def decode_goal_offset(goal: np.ndarray) -> np.ndarray:

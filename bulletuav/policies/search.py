@@ -7,7 +7,7 @@ from bulletuav.envs.aviary import Aviary
 from bulletuav.policies.base import require_supported_task
 from bulletuav.policies.observed import NO_BUILDINGS
 from bulletuav.policies.orca import Orca
-from bulletuav.policies.readings import CEILING_MARGIN, Readings
+from bulletuav.policies.readings import CEILING_MARGIN, require_blocks, unpack_blocks
 from bulletuav.policies.traffic import Traffic, find_surfaces
 from bulletuav.registry import register
 from bulletuav.tasks.observations.observer import Observation
@@ -83,7 +83,7 @@ class Sweep(Orca):
         """
         super().__init__(aviary)
         self._task = require_supported_task(self, Search)
-        self._readings = Readings(self.name, aviary, BLOCKS)
+        require_blocks(self.name, aviary, BLOCKS)
         self._period = 1.0 / aviary.options.decision_hz
         elevation = np.radians([beam.elevation for beam in self._task.context.beams])
         self._rise = sin(elevation)
@@ -114,7 +114,7 @@ class Sweep(Orca):
 
     def traffic(self, observations: Observation, swarm: Swarm) -> Traffic:
         """Return the traffic around each drone as observed; see `Avoidance.traffic`."""
-        seen = self._readings(observations)
+        seen = unpack_blocks(self.aviary, observations)
         velocity = seen["velocity"]
         others = self._filter(seen)
         self._measure_heights(seen, others)

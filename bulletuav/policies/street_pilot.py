@@ -17,7 +17,12 @@ from bulletuav.policies.astar import plan_path
 from bulletuav.policies.base import Policy
 from bulletuav.policies.over_roofs import ABOVE_GOAL, LEVEL
 from bulletuav.policies.planner import ACCELERATION, DELAY, HALF_WIDTH, PathLimits, follow_paths
-from bulletuav.policies.readings import Readings, cruise_height_difference, decode_goal_offset
+from bulletuav.policies.readings import (
+    cruise_height_difference,
+    decode_goal_offset,
+    require_blocks,
+    unpack_blocks,
+)
 from bulletuav.policies.straight import APPROACH
 from bulletuav.policies.street_map import CELL, inflate, level_beams, update_maps
 from bulletuav.policies.voxels import Voxels
@@ -73,7 +78,7 @@ class StreetPilot(Policy):
             ValueError: If the action type is not supported, or a required block is not observed.
         """
         super().__init__(aviary)
-        self.readings = Readings(self.name, aviary, ("goal", "velocity", "room", "lidar"))
+        require_blocks(self.name, aviary, ("goal", "velocity", "room", "lidar"))
         self._chosen, self._directions = level_beams(aviary)
         shape = aviary.alive.shape
         task = aviary.task
@@ -98,14 +103,14 @@ class StreetPilot(Policy):
 
     def act(self, observations: Observation, swarm: Swarm) -> np.ndarray:
         """Update the map, plan, and follow the path; see `Policy.act`."""
-        readings = self.readings(observations)
-        offset = decode_goal_offset(readings["goal"])
-        rise = cruise_height_difference(offset, readings["room"])
-        self._update_position(offset[..., :2], readings)
+        seen = unpack_blocks(self.aviary, observations)
+        offset = decode_goal_offset(seen["goal"])
+        rise = cruise_height_difference(offset, seen["room"])
+        self._update_position(offset[..., :2], seen)
         # Obstacles at other heights are ignored.
         is_level = np.abs(rise) < LEVEL
         far = np.linalg.norm(offset[..., :2], axis=-1) > ABOVE_GOAL
-        ranges = readings["lidar"][..., self._chosen]
+        ranges = seen["lidar"][..., self._chosen]
         reach = self.aviary.task.context.max_range
         # Ranges are stored as float32, so subtract a tolerance from the maximum range.
         alive = self.aviary.alive
@@ -123,14 +128,14 @@ class StreetPilot(Policy):
             self._plan(w, i)
         self._age += 1
         # Follow the path, with repulsion from near obstacles and height control
-        wanted = self._path_velocity(readings["velocity"])
+        wanted = self._path_velocity(seen["velocity"])
         wanted[far & ~is_level, :2] = 0.0
         wanted[..., :2] += self._push(ranges, offset)
         wanted = limit_norm(wanted, min(SPEED, float(self.aviary.options.max_speed)))
         wanted[..., 2] = APPROACH * np.where(far, rise, offset[..., 2])
         return self.encoded(limit_norm(wanted, float(self.aviary.options.max_speed)))
 
-    def _update_position(self, offset: np.ndarray, readings: dict[str, np.ndarray]) -> None:
+    def _update_position(self, offset: np.ndarray, seen: dict[str, np.ndarray]) -> None:
         """Update the positions by dead reckoning, and from offsets to the goal (W, N, 2), m."""
         is_new = self._age == 0
         # The map extends MARGIN beyond start and goal.
@@ -140,19 +145,19 @@ class StreetPilot(Policy):
         self._low[is_new] = -np.inf
         self._high[is_new] = np.inf
         old = ~is_new
-        moved = self._place + readings["velocity"][..., :2] * self.aviary.task.context.period
+        moved = self._place + seen["velocity"][..., :2] * self.aviary.task.context.period
         moved += TRUST * (self._goal - offset - moved)
         self._place[old] = moved[old]
         # Bounds of the airspace, once within range.
-        room = readings["room"]
+        room = seen["room"]
         reach = self.aviary.task.context.max_range - 1e-3
         for axis in range(2):
             here = self._place[..., axis]
             high, low = room[..., axis], room[..., axis + 3]
-            seen = high < reach
-            self._high[..., axis][seen] = (here + high)[seen]
-            seen = low < reach
-            self._low[..., axis][seen] = (here - low)[seen]
+            is_near = high < reach
+            self._high[..., axis][is_near] = (here + high)[is_near]
+            is_near = low < reach
+            self._low[..., axis][is_near] = (here - low)[is_near]
 
     def _plan(self, w: int, i: int) -> None:
         """Plan the path of a drone; clear a map without a path."""

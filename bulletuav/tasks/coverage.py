@@ -13,9 +13,9 @@ from bulletuav.tasks.config import TaskConfig
 from bulletuav.tasks.ends import collision, leaves_arena
 from bulletuav.tasks.frame import Frame, Scene, Spawn, TaskContext
 from bulletuav.tasks.ingredients import reward
-from bulletuav.tasks.parts.city_layouts import CityOptions, add_city, ground_cells
+from bulletuav.tasks.parts.city_layouts import CityOptions, add_city
 from bulletuav.tasks.parts.difficulties import service_difficulties
-from bulletuav.tasks.parts.ground_cells import GroundCells, check_cell
+from bulletuav.tasks.parts.ground_cells import GroundCells
 from bulletuav.tasks.parts.mean_service import SERVICE_SHIRKERS, MeanService
 from bulletuav.tasks.parts.obstacle_field import ObstacleField, ObstacleOptions
 from bulletuav.tasks.parts.presets import URBANMARL_COVERAGE
@@ -129,10 +129,7 @@ class Coverage(Task[CoverageConfig]):
         self.city_layouts = add_city(self)
         check_fraction("wanted", config.wanted)
         self.mean_service = self.add(MeanService(self, self._served))
-        cell = config.cell
-        check_cell(cell, self.city_layouts)
-        cells = [ground_cells(city, cell) for city in self.city_layouts.cities]
-        self._cells = GroundCells(cells, cell)
+        self._cells = GroundCells(self.city_layouts, config.cell, self.city_layouts.cell_centres)
         self.num_targets = self._cells.count
 
     def targets(self, scene: Scene) -> np.ndarray:

@@ -23,7 +23,7 @@ from bulletuav.tasks.parts.airspace import AirspaceOptions, circle_arena, cleara
 from bulletuav.tasks.parts.base import Rngs
 from bulletuav.tasks.parts.difficulties import UNCERTAINTY
 from bulletuav.tasks.parts.flocks import (
-    find_groups,
+    linked_groups,
     measure_connectivity,
     measure_correlation,
     measure_directions,
@@ -360,7 +360,7 @@ class Flocking(GoalFlight[FlockingConfig]):
             config, alive = self.config, frame.alive
             min_speed = float(config.min_speed * config.flock_speed)
             direction = measure_directions(frame.after.velocity, alive, min_speed)
-            group = find_groups(frame.after.position, alive, float(config.link_range))
+            group = linked_groups(frame, float(config.link_range))
             known["order"] = measure_order(direction, alive)
             known["connectivity"] = measure_connectivity(group)
             known["correlation"] = measure_correlation(direction, group)

@@ -16,7 +16,7 @@ from bulletuav.tasks.ingredients import reward
 from bulletuav.tasks.parts.base import Rngs
 from bulletuav.tasks.parts.city_layouts import CityOptions, add_city
 from bulletuav.tasks.parts.difficulties import SERVICE_DRONES, URBAN_DIFFICULTIES
-from bulletuav.tasks.parts.ground_cells import GroundCells, check_cell
+from bulletuav.tasks.parts.ground_cells import GroundCells
 from bulletuav.tasks.parts.obstacle_field import ObstacleField, ObstacleOptions
 from bulletuav.tasks.parts.safety import Safety
 from bulletuav.tasks.parts.urban import URBAN_DEFAULTS
@@ -191,11 +191,7 @@ class Patrol(Task[PatrolConfig]):
         for name in ("visit_radius", "max_idleness"):
             if not getattr(config, name) > 0:
                 raise ValueError(f"{name} is {getattr(config, name):g}: it must be above 0")
-        cell = config.cell
-        check_cell(cell, self.city_layouts)
-        layouts = range(len(self.city_layouts.cities))
-        places = [self.city_layouts.viewpoints(layout, cell) for layout in layouts]
-        self._cells = GroundCells(places, cell)
+        self._cells = GroundCells(self.city_layouts, config.cell, self.city_layouts.viewpoints)
         self.num_targets = self._cells.count
 
     def targets(self, scene: Scene) -> np.ndarray:

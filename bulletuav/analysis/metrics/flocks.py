@@ -5,15 +5,17 @@ flew a decision count in it. Formulas and sources: `bulletuav.tasks.parts.flocks
 """
 
 from abc import ABC, abstractmethod
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar
 
 import numpy as np
 
 from bulletuav.envs.aviary import Aviary
 from bulletuav.envs.step import Step
 from bulletuav.registry import register
+from bulletuav.tasks.base import Task
+from bulletuav.tasks.frame import Frame
 from bulletuav.tasks.parts.flocks import (
-    find_groups,
+    linked_groups,
     measure_close_pairs,
     measure_cohesion_radius,
     measure_connectivity,
@@ -31,32 +33,15 @@ MIN_SPEED = 0.5
 """Speed below which a drone has no direction of motion, m/s, as hovering drones drift"""
 
 
-class FlockState(NamedTuple):
-    """Drones of W worlds after a decision.
+def _find_directions(frame: Frame) -> np.ndarray:
+    """Return the directions of motion, (W, N, 3)."""
+    return measure_directions(frame.after.velocity, frame.alive, MIN_SPEED)
 
-    Attributes:
-        position: (W, N, 3) m.
-        velocity: (W, N, 3) m/s.
-        flown: (W, N) bool, drones that flew the decision.
-        aviary: The worlds.
-    """
 
-    position: np.ndarray
-    velocity: np.ndarray
-    flown: np.ndarray
-    aviary: Aviary
-
-    @property
-    def directions(self) -> np.ndarray:
-        """Directions of motion, (W, N, 3)."""
-        return measure_directions(self.velocity, self.flown, MIN_SPEED)
-
-    @property
-    def groups(self) -> np.ndarray:
-        """Groups of linked drones, (W, N); see `find_groups`."""
-        config = self.aviary.task.config
-        reach = float(getattr(config, "link_range", LINKS * config.d_safe))
-        return find_groups(self.position, self.flown, reach)
+def _find_groups(frame: Frame, task: Task[Any]) -> np.ndarray:
+    """Return the groups of linked drones, (W, N)."""
+    reach = getattr(task.config, "link_range", LINKS * task.config.d_safe)
+    return linked_groups(frame, float(reach))
 
 
 class FlockMetric(ABC):
@@ -70,17 +55,15 @@ class FlockMetric(ABC):
 
     def __call__(self, step: Step, aviary: Aviary) -> np.ndarray:
         """Return the mean over all decisions so far, (W,)."""
-        flown = aviary.alive | step.terminated | step.truncated
-        swarm = aviary.swarm
-        flies = flown.any(axis=1)
-        state = FlockState(swarm.position, swarm.velocity, flown, aviary)
-        self._total += np.where(flies, self.measure(state), 0.0)
+        frame = aviary.current_frame()
+        flies = frame.alive.any(axis=1)
+        self._total += np.where(flies, self.measure(frame, aviary.task), 0.0)
         self._decisions += flies
         mean: np.ndarray = self._total / np.maximum(self._decisions, 1)
         return mean
 
     @abstractmethod
-    def measure(self, state: FlockState) -> np.ndarray:
+    def measure(self, frame: Frame, task: Task[Any]) -> np.ndarray:
         """Return the measure after one decision, (W,)."""
 
 
@@ -90,9 +73,9 @@ class FlockOrder(FlockMetric):
 
     name = "flock_order"
 
-    def measure(self, state: FlockState) -> np.ndarray:
+    def measure(self, frame: Frame, task: Task[Any]) -> np.ndarray:
         """Return the order, (W,)."""
-        return measure_order(state.directions, state.flown)
+        return measure_order(_find_directions(frame), frame.alive)
 
 
 @register("metric")
@@ -101,10 +84,10 @@ class FlockCorrelation(FlockMetric):
 
     name = "flock_correlation"
 
-    def measure(self, state: FlockState) -> np.ndarray:
+    def measure(self, frame: Frame, task: Task[Any]) -> np.ndarray:
         """Return the mean correlation of drones that are not alone, (W,)."""
-        groups = state.groups
-        correlation = measure_correlation(state.directions, groups)
+        groups = _find_groups(frame, task)
+        correlation = measure_correlation(_find_directions(frame), groups)
         has_others = measure_group_size(groups) > 1
         mean: np.ndarray = np.where(has_others, correlation, 0.0).sum(axis=1)
         mean /= np.maximum(has_others.sum(axis=1), 1)
@@ -117,9 +100,9 @@ class FlockSpeed(FlockMetric):
 
     name = "flock_speed"
 
-    def measure(self, state: FlockState) -> np.ndarray:
+    def measure(self, frame: Frame, task: Task[Any]) -> np.ndarray:
         """Return the mean speed, (W,)."""
-        return measure_mean_speed(state.velocity, state.flown)
+        return measure_mean_speed(frame.after.velocity, frame.alive)
 
 
 @register("metric")
@@ -128,10 +111,10 @@ class FlockCollisions(FlockMetric):
 
     name = "flock_collisions"
 
-    def measure(self, state: FlockState) -> np.ndarray:
+    def measure(self, frame: Frame, task: Task[Any]) -> np.ndarray:
         """Return the fraction, (W,)."""
-        d_safe = float(state.aviary.task.config.d_safe)
-        return measure_close_pairs(state.position, state.flown, d_safe)
+        d_safe = float(task.config.d_safe)
+        return measure_close_pairs(frame.after.position, frame.alive, d_safe)
 
 
 @register("metric")
@@ -140,12 +123,12 @@ class FlockWall(FlockMetric):
 
     name = "flock_wall"
 
-    def measure(self, state: FlockState) -> np.ndarray:
+    def measure(self, frame: Frame, task: Task[Any]) -> np.ndarray:
         """Return the fraction, (W,)."""
-        task, position = state.aviary.task, state.position
+        task, position = task, frame.after.position
         outside = (position < task.arena_low) | (position > task.arena_high)
-        count = (outside.any(axis=-1) & state.flown).sum(axis=1)
-        fraction: np.ndarray = count / np.maximum(state.flown.sum(axis=1), 1)
+        count = (outside.any(axis=-1) & frame.alive).sum(axis=1)
+        fraction: np.ndarray = count / np.maximum(frame.alive.sum(axis=1), 1)
         return fraction
 
 
@@ -155,9 +138,9 @@ class FlockVelocityVariance(FlockMetric):
 
     name = "flock_velocity_variance"
 
-    def measure(self, state: FlockState) -> np.ndarray:
+    def measure(self, frame: Frame, task: Task[Any]) -> np.ndarray:
         """Return the variance, (W,)."""
-        return measure_velocity_variance(state.velocity, state.flown)
+        return measure_velocity_variance(frame.after.velocity, frame.alive)
 
 
 @register("metric")
@@ -166,9 +149,9 @@ class FlockRadius(FlockMetric):
 
     name = "flock_radius"
 
-    def measure(self, state: FlockState) -> np.ndarray:
+    def measure(self, frame: Frame, task: Task[Any]) -> np.ndarray:
         """Return the radius, (W,)."""
-        return measure_cohesion_radius(state.position, state.flown)
+        return measure_cohesion_radius(frame.after.position, frame.alive)
 
 
 @register("metric")
@@ -177,6 +160,6 @@ class FlockConnectivity(FlockMetric):
 
     name = "flock_connectivity"
 
-    def measure(self, state: FlockState) -> np.ndarray:
+    def measure(self, frame: Frame, task: Task[Any]) -> np.ndarray:
         """Return the connectivity, (W,)."""
-        return measure_connectivity(state.groups)
+        return measure_connectivity(_find_groups(frame, task))

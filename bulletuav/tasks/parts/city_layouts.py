@@ -425,6 +425,20 @@ class CityLayouts(Part):
         raised[..., 2] += city.surface(places)
         return raised
 
+    def cell_centres(self, layout: int, cell: float) -> np.ndarray:
+        """Return the centres of the cells of a square raster that are outdoors.
+
+        Args:
+            layout: Index of the city.
+            cell: Side of the cells, m.
+
+        Returns:
+            (M, 3) m, at the height of a user's device.
+        """
+        city = self.cities[layout]
+        places = _outdoor_cells(city, cell, 0.0)
+        return np.column_stack([places, city.surface(places) + USER_HEIGHT])
+
     def viewpoints(self, layout: int, cell: float) -> np.ndarray:
         """Return a place outdoors in each square of a grid that has space for a drone.
 
@@ -650,17 +664,3 @@ def _outdoor_cells(city: City, cell: float, margin: float, edge: float = 0.0) ->
     cells: np.ndarray = places[is_inside & city.outdoors(places, margin)]
     cells.setflags(write=False)
     return cells
-
-
-def ground_cells(city: City, cell: float) -> np.ndarray:
-    """Return the centres of the cells of a square raster that are outdoors.
-
-    Args:
-        city: The city.
-        cell: Side of the cells, m.
-
-    Returns:
-        (M, 3) m, at the height of a user's device.
-    """
-    places = _outdoor_cells(city, cell, 0.0)
-    return np.column_stack([places, city.surface(places) + USER_HEIGHT])

@@ -15,6 +15,7 @@ import numpy as np
 from bulletuav.compiled.kernel import allocating, func
 from bulletuav.geometry.closest_approach import offset
 from bulletuav.geometry.rotation import dot, vec3
+from bulletuav.tasks.frame import Frame
 
 NO_GROUP = -1
 """Group of drones that are not counted"""
@@ -105,6 +106,14 @@ def find_groups(position: np.ndarray, counts: np.ndarray, reach: float) -> np.nd
             if counts[w, i]:
                 group[w, i] = _find_root(group, w, i)
     return group
+
+
+def linked_groups(frame: Frame, reach: float) -> np.ndarray:
+    """Return the groups of drones that flew the decision; `find_groups`, once for each frame."""
+    key = f"groups of links up to {reach!r} m"
+    if key not in frame.derived:
+        frame.derived[key] = find_groups(frame.after.position, frame.alive, reach)
+    return frame.derived[key]
 
 
 @allocating

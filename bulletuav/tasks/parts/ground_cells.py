@@ -1,6 +1,6 @@
 """Squares into which the ground outdoors in the cities of a task is divided."""
 
-from collections.abc import Sequence
+from collections.abc import Callable
 
 import numpy as np
 
@@ -18,16 +18,32 @@ class GroundCells:
         count: Maximum number of squares over all layouts.
     """
 
-    def __init__(self, cells: Sequence[np.ndarray], cell: float) -> None:
-        """Pad the lists of all layouts to equal length.
+    def __init__(
+        self, city_layouts: CityLayouts, cell: float, find: Callable[[int, float], np.ndarray]
+    ) -> None:
+        """Find the squares of all layouts, and pad their lists to equal length.
 
         Args:
-            cells: Centres (M, 3) of the squares of each layout, m.
-            cell: Side of the squares, for the message, m.
+            city_layouts: Cities of the task.
+            cell: Side of the squares, m.
+            find: Function of the index of a layout and of `cell` that returns the centres (M, 3) of
+                its squares, m.
 
         Raises:
-            ValueError: If a layout has no squares.
+            ValueError: If squares are larger than a city, or too many, or a layout has none.
         """
+        sides = np.array([city.sides for city in city_layouts.cities])
+        if not 0 < cell <= sides.min():
+            raise ValueError(
+                f"cell is {cell:g} m: it must be above 0 and at most the side of the city"
+            )
+        count = (sides / cell).prod(axis=1).max()
+        if count > MAX_CELLS:
+            raise ValueError(
+                f"cell is {cell:g} m: {count:.3g} squares on a side of {sides.max():g} m, "
+                f"at most {MAX_CELLS:g} are possible; make it larger, or area smaller"
+            )
+        cells = [find(layout, cell) for layout in range(len(sides))]
         if not all(map(len, cells)):
             raise ValueError(
                 f"cell is {cell:g} m: no such square has its centre outdoors; make it smaller"
@@ -53,20 +69,3 @@ class GroundCells:
         """Return which of them are squares rather than padding, (W, count) bool."""
         is_own: np.ndarray = self._is_own[scene.layout]
         return is_own
-
-
-def check_cell(cell: float, city_layouts: CityLayouts) -> None:
-    """Check the side of squares, m.
-
-    Raises:
-        ValueError: If squares are larger than a city, or too many.
-    """
-    sides = np.array([city.sides for city in city_layouts.cities])
-    if not 0 < cell <= sides.min():
-        raise ValueError(f"cell is {cell:g} m: it must be above 0 and at most the side of the city")
-    count = (sides / cell).prod(axis=1).max()
-    if count > MAX_CELLS:
-        raise ValueError(
-            f"cell is {cell:g} m: {count:.3g} squares on a side of {sides.max():g} m, "
-            f"at most {MAX_CELLS:g} are possible; make it larger, or area smaller"
-        )
