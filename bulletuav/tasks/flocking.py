@@ -36,8 +36,11 @@ from bulletuav.tasks.parts.wandering import Wanderer
 MAX_DRAWS = 1000
 """Maximum number of draws of a start until it is clear of the others"""
 MAX_COVERAGE = 0.4
-"""Maximum fraction of the start disc that starts, as discs of half their separation, may cover.
-Random placement of discs ends at 0.55"""
+"""Fraction of the start disc covered by starts, as discs of half their separation, up to which they
+are drawn one by one. Such random placement ends at 0.55; denser starts are on a lattice"""
+START_LOOSENESS, MAX_START_MARGIN = 2.0, 65.0
+"""Default radius of the start disc, as a multiple of that of the lattice, and its maximum distance
+beyond the lattice, m: from further away drones would need most of the episode to gather"""
 ROOM_FOR_ERRORS = {"spacing": 12.0, "link_range": 18.0}
 """Wider flocks, for drones whose positions have errors of several metres"""
 OBSTACLE_SPREAD = 5.0
@@ -61,12 +64,12 @@ class FlockingConfig(AirspaceOptions, FlightConfig):
             a hexagonal lattice of all drones with this spacing.
         link_range: Distance at which two drones are linked, m. A group is a set of linked drones.
         start_looseness: Radius of the disc in which drones start, as a multiple of that of the
-            lattice.
+            lattice. By default it is 2, and less where the disc would extend more than 65 m beyond
+            the lattice.
         min_order: Minimum order, and minimum cosine between a drone's motion and that of its group.
         min_speed: Minimum speed of a drone, as a fraction of flock_speed; slower drones have no
             direction.
-        min_in_place: Fraction of the episode that a drone has to fly in the flock. Several hundred
-            drones need a longer `horizon` to gather.
+        min_in_place: Fraction of the episode that a drone has to fly in the flock.
         start_speed: Minimum and maximum speed at the start, m/s, in random level directions; the
             default is limited to max_speed.
         jitter: Maximum random offset of a start on each axis, m.
@@ -81,7 +84,7 @@ class FlockingConfig(AirspaceOptions, FlightConfig):
     spacing: float = 10.0
     looseness: float = 1.3
     link_range: float = 15.0
-    start_looseness: float = 2.0
+    start_looseness: float | None = None
     min_order: float = field(default=0.9, metadata={"most": 1.0})
     min_speed: float = field(default=0.5, metadata={"most": 1.0})
     min_in_place: float = 0.6
@@ -274,16 +277,22 @@ class Flocking(GoalFlight[FlockingConfig]):
             )
         self.lattice_radius = lattice_radius(context.num_drones, config.spacing)
         self.flock_radius = config.looseness * self.lattice_radius
-        self._start_radius = config.start_looseness * self.lattice_radius
         # Jitter moves two starts towards each other
         self._start_distance = 2 * apart + 2 * np.sqrt(3) * config.jitter
-        discs = context.num_drones * (self._start_distance / 2) ** 2
-        if context.num_drones > 1 and discs > MAX_COVERAGE * self._start_radius**2:
+        densest = self._start_distance / config.spacing
+        looseness = config.start_looseness
+        if looseness is None:
+            limit = max(1 + MAX_START_MARGIN / self.lattice_radius, densest)
+            looseness = min(START_LOOSENESS, limit)
+        if context.num_drones > 1 and looseness < densest:
             raise ValueError(
-                f"start_looseness is {config.start_looseness:g}: starts 2 d_safe apart would cover "
-                f"{discs / max(self._start_radius**2, 1e-9):.0%} of their disc, at most "
-                f"{MAX_COVERAGE:.0%} is possible; raise it or spacing, or lower d_safe"
+                f"start_looseness is {looseness:g}: starts 2 d_safe apart need {densest:.3g}; "
+                f"raise it or spacing, or lower d_safe"
             )
+        self._start_radius = looseness * self.lattice_radius
+        self._start_pitch = looseness * config.spacing
+        discs = context.num_drones * (self._start_distance / 2) ** 2
+        self._starts_on_lattice = discs > MAX_COVERAGE * self._start_radius**2
         self.wanderer = Wanderer(
             config.flock_speed, config.leader_turn, config.roam, context.period
         )
@@ -326,6 +335,8 @@ class Flocking(GoalFlight[FlockingConfig]):
 
     def _draw_starts(self, rng: np.random.Generator) -> np.ndarray:
         """Draw starts in a disc at the altitude, clear of each other, (N, 3) m."""
+        if self._starts_on_lattice:
+            return self._draw_lattice(rng)
         start = np.full((self.context.num_drones, 3), self.config.altitude)
         for i in range(len(start)):
             for _ in range(MAX_DRAWS):
@@ -338,6 +349,21 @@ class Flocking(GoalFlight[FlockingConfig]):
                 offset = start[:i, :2] - start[i, :2]
                 if ((offset * offset).sum(axis=1) > self._start_distance**2).all():
                     break
+        return start
+
+    def _draw_lattice(self, rng: np.random.Generator) -> np.ndarray:
+        """Draw starts near the points of a hexagonal lattice in the disc, (N, 3) m."""
+        rows = int(np.ceil(1.2 * self._start_radius / self._start_pitch)) + 1
+        row = np.arange(-rows, rows + 1)
+        column, line = np.meshgrid(row, row)
+        lattice = np.stack([column + line / 2, line * np.sqrt(3) / 2], axis=-1).reshape(-1, 2)
+        plan = self._start_pitch * (lattice + rng.uniform(-0.5, 0.5, 2))
+        nearest = np.argsort((plan**2).sum(axis=1), kind="stable")[: self.context.num_drones]
+        # Neighbours may move towards each other by half of what the lattice leaves free each
+        free = (self._start_pitch - self._start_distance) / 2
+        start = np.full((len(nearest), 3), self.config.altitude)
+        start[:, :2] = rng.permutation(plan[nearest])
+        start[:, :2] += rng.uniform(-free, free, (len(nearest), 2)) / np.sqrt(2)
         return start
 
     def move_scene(self, scene: Scene, time: np.ndarray, flying: np.ndarray, rngs: Rngs) -> bool:

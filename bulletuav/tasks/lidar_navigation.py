@@ -15,6 +15,7 @@ from bulletuav.tasks.goal_flight import (
 )
 from bulletuav.tasks.parts.city_layouts import CityOptions, add_city
 from bulletuav.tasks.parts.difficulties import URBAN_DIFFICULTIES
+from bulletuav.tasks.parts.obstacle_field import CityObstacleOptions
 from bulletuav.tasks.parts.presets import URBANMARL_LIDAR_NAVIGATION
 from bulletuav.tasks.parts.urban import URBAN_DEFAULTS, CityLegs, UrbanFlightOptions
 
@@ -28,7 +29,7 @@ RANGE_UNCERTAINTY: dict[str, dict[str, float]] = {
 
 
 @dataclass(frozen=True)
-class LidarNavigationConfig(UrbanFlightOptions, CityOptions, FlightConfig):
+class LidarNavigationConfig(UrbanFlightOptions, CityOptions, CityObstacleOptions, FlightConfig):
     """Options of `lidar_navigation`, in addition to those of urban flights (`UrbanFlightOptions`).
 
     Attributes:

@@ -13,12 +13,13 @@ from bulletuav.tasks.goal_flight import (
 )
 from bulletuav.tasks.parts.city_layouts import CityOptions, add_city
 from bulletuav.tasks.parts.difficulties import URBAN_DIFFICULTIES
+from bulletuav.tasks.parts.obstacle_field import CityObstacleOptions
 from bulletuav.tasks.parts.presets import URBANMARL_NAVIGATION
 from bulletuav.tasks.parts.urban import URBAN_DEFAULTS, CityLegs, UrbanFlightOptions
 
 
 @dataclass(frozen=True)
-class NavigationConfig(UrbanFlightOptions, CityOptions, FlightConfig):
+class NavigationConfig(UrbanFlightOptions, CityOptions, CityObstacleOptions, FlightConfig):
     """Options of `navigation`: those of urban flights (`UrbanFlightOptions`)."""
 
 

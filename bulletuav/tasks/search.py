@@ -282,9 +282,6 @@ class Search(Task[SearchConfig]):
     def _check(self) -> None:
         """Check the options of hovers, squares and distances."""
         config, context = self.config, self.context
-        for name in ("obstacle_radius", "obstacle_speed"):
-            if getattr(config, name) != getattr(SearchConfig, name):
-                raise ValueError(f"{name} has no effect: task 'search' has no obstacles; omit it")
         low, high = config.hover_height
         if not context.collision_radius < low < high:
             raise ValueError(

@@ -164,6 +164,19 @@ def test_success_needs_time_in_the_flock_and_safety():
     aviary.close()
 
 
+def test_starts_of_large_swarms_are_as_dense_as_a_loose_lattice():
+    task = bulletuav.Aviary("flocking", num_drones=400, **POINTS).task
+    start = task.spawn(np.random.default_rng(0)).position
+    radius = np.linalg.norm(start[:, :2], axis=1)
+    # 65 m beyond the lattice, plus jitter and the offset of the lattice
+    assert radius.max() == pytest.approx(
+        math.sqrt(math.sqrt(3) * 400 / (2 * math.pi)) * 10 + 65, 0.03
+    )
+    assert (radius < radius.max() / 2).mean() == pytest.approx(0.25, abs=0.03)
+    gap = np.linalg.norm(start[:, None] - start, axis=-1)[np.triu_indices(400, 1)]
+    assert gap.min() > 10  # 2 d_safe
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [
@@ -171,7 +184,7 @@ def test_success_needs_time_in_the_flock_and_safety():
         ({"flock_speed": 0.0}, "flock_speed is 0 m/s"),
         ({"spacing": 5.0}, r"spacing is 5 m: more than 5 m \(d_safe\)"),
         ({"spacing": 16.0}, "at most link_range 15 m is needed"),
-        ({"start_looseness": 1.0}, "start_looseness is 1: starts 2 d_safe apart would cover"),
+        ({"start_looseness": 1.0}, "start_looseness is 1: starts 2 d_safe apart need 1.17"),
         ({"min_in_place": 0.0}, "min_in_place is 0"),
         ({"min_order": 1.5}, "min_order"),
         ({"margin": 0.1}, "margin 0.1 m must exceed jitter"),

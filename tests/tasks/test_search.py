@@ -210,7 +210,7 @@ def test_squares_divide_the_ground_around_the_clue():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"obstacle_radius": 1.0}, "obstacle_radius has no effect"),
+        ({"num_obstacles": 3}, "unknown option of task 'search'.*'num_obstacles'"),
         ({"hover_height": (4.0, 2.0)}, "hover_height"),
         ({"hover_time": 0.0}, "hover_time"),
         ({"hover_radius": 11.0}, "hover_radius"),

@@ -63,7 +63,7 @@ NO_HILLS, NO_STARTS = np.zeros((0, 0)), np.zeros((0, 3))
 
 @dataclass(frozen=True)
 class CityOptions:
-    """Options of cities, and of obstacles in them (`ObstacleOptions`).
+    """Options of cities.
 
     Attributes:
         city: "suburban", "urban", "dense" or "high_rise"; "open" for none; (alpha, beta, gamma),
@@ -83,10 +83,6 @@ class CityOptions:
             outdoors.
         ceiling: Maximum height of the airspace above the highest ground, m.
         min_separation: Minimum distance between starts, and between goals, m.
-        obstacle_radius: Radius of the obstacles' bounding spheres, or its minimum and maximum, m:
-            they have to fit into streets.
-        obstacle_speed: Maximum speed of an obstacle on each axis, or the minimum and maximum of its
-            velocity on each axis, m/s.
         charging_pads: Number of pads on the ground that charge batteries, drawn outdoors in each
             episode; or their positions (K, 2), m. See `ChargingPads`. Observations then include
             the block `pads`, unless `observation` is given.
@@ -103,8 +99,6 @@ class CityOptions:
     height: tuple[float, float] = (5.0, 25.0)
     ceiling: float = 120.0
     min_separation: float = 20.0
-    obstacle_radius: float | tuple[float, float] = (0.5, 2.0)
-    obstacle_speed: float | tuple[float, float] = 2.0
     charging_pads: Any = 0
     pad_power: float = 250.0
     pad_radius: float = 2.0

@@ -48,6 +48,14 @@ class ObstacleOptions:
     obstacle_speed: float | tuple[float, float] = 5.0
 
 
+@dataclass(frozen=True)
+class CityObstacleOptions(ObstacleOptions):
+    """Options of obstacles in cities, which have to fit into streets; see `ObstacleOptions`."""
+
+    obstacle_radius: float | tuple[float, float] = (0.5, 2.0)
+    obstacle_speed: float | tuple[float, float] = 2.0
+
+
 class ObstacleField(Part):
     """Static and moving obstacles, and the option `heading`.
 
