@@ -60,6 +60,12 @@ def freshness(mean_freshness: float) -> float:
 
 
 @reward
+def overdue(is_overdue: bool) -> float:
+    """1 while the idleness of any square is above max_idleness."""
+    return 1.0 if is_overdue else 0.0
+
+
+@reward
 def visits(visited: float) -> float:
     """Idleness that the drone itself ends by its visits, as a fraction of that of all squares.
 
@@ -95,6 +101,7 @@ class Patrol(Task[PatrolConfig]):
     Reward per decision, the weighted sum of these terms:
 
     - freshness 1: 1 - idleness / max_idleness, at least 0, averaged over the squares.
+    - overdue -0.25: 1 while the idleness of any square is above max_idleness.
     - visits 0: idleness that ends by visits of the drone itself, divided by max_idleness and by the
       number of squares.
     - empty -100: 1 when the battery is empty.
@@ -153,6 +160,7 @@ class Patrol(Task[PatrolConfig]):
     observation = ("position", "velocity", "battery", "idleness", "neighbours")
     reward: ClassVar = {
         "freshness": (freshness, 1.0),
+        "overdue": (overdue, -0.25),
         "visits": (visits, 0.0),
         "empty": (empty, -100.0),
         "conflict": -100.0,
@@ -162,6 +170,7 @@ class Patrol(Task[PatrolConfig]):
     # The visits of each drone teach it to move
     training_weights: ClassVar = {
         "freshness": 0.1,
+        "overdue": -0.02,
         "visits": 10.0,
         "empty": -2.0,
         "conflict": -2.0,
@@ -246,9 +255,15 @@ class Patrol(Task[PatrolConfig]):
         mean: np.ndarray = (total / active.sum(axis=1))[:, None] + np.zeros(frame.alive.shape)
         return mean
 
+    def _is_overdue(self, frame: Frame) -> np.ndarray:
+        """Return whether the idleness of any square is above max_idleness, (W, N) bool."""
+        worst = frame.scene.memory["idleness"].max(axis=1)
+        return np.broadcast_to((worst > self.config.max_idleness)[:, None], frame.alive.shape)
+
     def quantities(self) -> Mapping[str, Any]:
-        """Return the freshness, for the reward."""
-        return {**super().quantities(), "mean_freshness": self._freshness}
+        """Return the freshness and whether any square is overdue, for the reward."""
+        own = {"mean_freshness": self._freshness, "is_overdue": self._is_overdue}
+        return {**super().quantities(), **own}
 
     def succeeded(self, frame: Frame) -> np.ndarray:
         """Return whether squares were visited in time and all drones still fly, (W, N) bool."""

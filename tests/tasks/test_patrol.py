@@ -42,6 +42,13 @@ def test_idleness_is_the_time_since_the_last_visit():
         assert step.info["average_idleness"][0, 0] == pytest.approx(mean)
 
 
+def test_squares_that_are_overdue_cost_reward():
+    with contextlib.closing(aviary_of(max_idleness=1.25)) as aviary:
+        # Idleness of 0.5, 1.0 and 1.5 s
+        shown = [aviary.step(STAY).info["reward/overdue"][0].tolist() for _ in range(3)]
+        assert shown == [[0.0, 0.0], [0.0, 0.0], [-0.25, -0.25]]
+
+
 def test_visits_need_sight_and_nearness_and_are_shared():
     cells = np.array([[(0.0, 0.0, 1.5), (30.0, 0.0, 1.5), (60.0, 0.0, 1.5), (0.0, 0.0, 1.5)]])
     position = np.array([[(12.0, 16.0, 40.0), (19.0, 0.0, 40.0), (60.0, 20.1, 5.0)]])
