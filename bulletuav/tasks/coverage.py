@@ -17,7 +17,11 @@ from bulletuav.tasks.parts.city_layouts import CityOptions, add_city
 from bulletuav.tasks.parts.difficulties import service_difficulties
 from bulletuav.tasks.parts.ground_cells import GroundCells
 from bulletuav.tasks.parts.mean_service import SERVICE_SHIRKERS, MeanService
-from bulletuav.tasks.parts.obstacle_field import CityObstacleOptions, ObstacleField
+from bulletuav.tasks.parts.obstacle_field import (
+    CityObstacleOptions,
+    ObstacleField,
+    ObstacleOptions,
+)
 from bulletuav.tasks.parts.presets import URBANMARL_COVERAGE
 from bulletuav.tasks.parts.safety import Safety
 from bulletuav.tasks.parts.urban import URBAN_DEFAULTS, check_fraction
@@ -26,7 +30,7 @@ from bulletuav.tasks.targets import compute_seen_fraction, get_served_fraction
 
 
 @dataclass(frozen=True)
-class CoverageConfig(CityOptions, CityObstacleOptions, TaskConfig):
+class CoverageConfig(CityOptions, CityObstacleOptions, ObstacleOptions, TaskConfig):
     """Options of `coverage`, in addition to those of cities (`CityOptions`).
 
     Attributes:

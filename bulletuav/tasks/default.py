@@ -18,14 +18,18 @@ from bulletuav.tasks.goal_flight import GOAL_FLIGHT_SHIRKERS
 from bulletuav.tasks.ingredients import end, reward
 from bulletuav.tasks.parts.city_layouts import CityOptions, add_city
 from bulletuav.tasks.parts.difficulties import URBAN_DIFFICULTIES
-from bulletuav.tasks.parts.obstacle_field import CityObstacleOptions, ObstacleField
+from bulletuav.tasks.parts.obstacle_field import (
+    CityObstacleOptions,
+    ObstacleField,
+    ObstacleOptions,
+)
 from bulletuav.tasks.parts.presets import URBANMARL_DEFAULT
 from bulletuav.tasks.parts.safety import Safety
 from bulletuav.tasks.parts.urban import URBAN_DEFAULTS, StreetOptions
 
 
 @dataclass(frozen=True)
-class DefaultConfig(StreetOptions, CityOptions, CityObstacleOptions, TaskConfig):
+class DefaultConfig(StreetOptions, CityOptions, CityObstacleOptions, ObstacleOptions, TaskConfig):
     """Options of `default`, in addition to those of streets (`StreetOptions`).
 
     Attributes:

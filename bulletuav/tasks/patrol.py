@@ -17,7 +17,11 @@ from bulletuav.tasks.parts.base import Rngs
 from bulletuav.tasks.parts.city_layouts import CityOptions, add_city
 from bulletuav.tasks.parts.difficulties import SERVICE_DRONES, URBAN_DIFFICULTIES
 from bulletuav.tasks.parts.ground_cells import GroundCells
-from bulletuav.tasks.parts.obstacle_field import CityObstacleOptions, ObstacleField
+from bulletuav.tasks.parts.obstacle_field import (
+    CityObstacleOptions,
+    ObstacleField,
+    ObstacleOptions,
+)
 from bulletuav.tasks.parts.safety import Safety
 from bulletuav.tasks.parts.urban import URBAN_DEFAULTS
 
@@ -26,7 +30,7 @@ JUDGED_FRACTION = 0.5
 
 
 @dataclass(frozen=True)
-class PatrolConfig(CityOptions, CityObstacleOptions, TaskConfig):
+class PatrolConfig(CityOptions, CityObstacleOptions, ObstacleOptions, TaskConfig):
     """Options of `patrol`, in addition to those of cities (`CityOptions`).
 
     Attributes:

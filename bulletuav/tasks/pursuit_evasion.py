@@ -19,7 +19,11 @@ from bulletuav.tasks.ingredients import reward
 from bulletuav.tasks.parts.base import Rngs
 from bulletuav.tasks.parts.city_layouts import MAX_TRIES, OPEN, CityOptions, add_city
 from bulletuav.tasks.parts.difficulties import UNCERTAINTY
-from bulletuav.tasks.parts.obstacle_field import CityObstacleOptions, ObstacleField
+from bulletuav.tasks.parts.obstacle_field import (
+    CityObstacleOptions,
+    ObstacleField,
+    ObstacleOptions,
+)
 from bulletuav.tasks.parts.teams import (
     NO_OPPONENT,
     measure_chase,
@@ -31,7 +35,7 @@ from bulletuav.tasks.parts.urban import check_fraction
 
 
 @dataclass(frozen=True)
-class PursuitEvasionConfig(CityOptions, CityObstacleOptions, TaskConfig):
+class PursuitEvasionConfig(CityOptions, CityObstacleOptions, ObstacleOptions, TaskConfig):
     """Options of `pursuit_evasion`, in addition to those of cities (`CityOptions`).
 
     Attributes:

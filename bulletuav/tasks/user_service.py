@@ -12,7 +12,11 @@ from bulletuav.tasks.ends import affected_drones
 from bulletuav.tasks.frame import Frame, Scene, Spawn, TaskContext
 from bulletuav.tasks.parts.city_layouts import CityOptions, add_city
 from bulletuav.tasks.parts.mean_service import SERVICE_SHIRKERS
-from bulletuav.tasks.parts.obstacle_field import CityObstacleOptions, ObstacleField
+from bulletuav.tasks.parts.obstacle_field import (
+    CityObstacleOptions,
+    ObstacleField,
+    ObstacleOptions,
+)
 from bulletuav.tasks.parts.safety import Safety
 from bulletuav.tasks.parts.urban import URBAN_DEFAULTS, check_fraction
 from bulletuav.tasks.parts.users import Service, UserOptions, Users
@@ -30,7 +34,7 @@ TRAINING_WEIGHTS = {
 
 
 @dataclass(frozen=True)
-class UserServiceConfig(UserOptions, CityOptions, CityObstacleOptions, TaskConfig):
+class UserServiceConfig(UserOptions, CityOptions, CityObstacleOptions, ObstacleOptions, TaskConfig):
     """Options of tasks with users, in addition to those of users, cities and obstacles.
 
     Attributes:

@@ -49,8 +49,15 @@ class ObstacleOptions:
 
 
 @dataclass(frozen=True)
-class CityObstacleOptions(ObstacleOptions):
-    """Options of obstacles in cities, which have to fit into streets; see `ObstacleOptions`."""
+class CityObstacleOptions:
+    """Options of obstacles (`ObstacleOptions`) with other defaults in cities.
+
+    Attributes:
+        obstacle_radius: Radius of the obstacles' bounding spheres, or its minimum and maximum, m:
+            they have to fit into streets.
+        obstacle_speed: Maximum speed of an obstacle on each axis, or the minimum and maximum of its
+            velocity on each axis, m/s.
+    """
 
     obstacle_radius: float | tuple[float, float] = (0.5, 2.0)
     obstacle_speed: float | tuple[float, float] = 2.0
