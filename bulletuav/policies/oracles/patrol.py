@@ -5,6 +5,7 @@ import numpy as np
 from bulletuav.policies.coverage_geometry import pairwise_distances
 from bulletuav.policies.patrol import CHARGES, PATROLS, PatrolReactive
 from bulletuav.registry import register
+from bulletuav.vehicle.swarm import Swarm
 
 SAME_PAD = 15.0
 """Horizontal distance up to which two drones fly to the same pad, m: above errors of positions"""
@@ -19,6 +20,11 @@ class PatrolOracle(PatrolReactive):
     """
 
     name = "patrol_oracle"
+
+    def goals(self, swarm: Swarm) -> np.ndarray:
+        """Return squares or pads to fly to, from true positions; see `PatrolPolicy.goals`."""
+        self.seen["position"] = swarm.position
+        return super().goals(swarm)
 
     def squares(self, w: int, i: int) -> np.ndarray:
         """Return all squares (K, 3); see `PatrolPolicy.squares`."""
