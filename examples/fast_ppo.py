@@ -3,8 +3,7 @@
 The training loop is plain PyTorch over `batch_env`, whose step is compiled. One policy is trained
 on batches of worlds of several sizes: `SwarmFeatures` are invariant to the number and order of
 other drones. With `--critic state` the critic sees the state of the whole world (MAPPO), otherwise
-the observation of the drone (IPPO). The output folder can be flown without PyTorch: `--policy
-FOLDER`.
+the drone's observation (IPPO). The output folder can be flown without PyTorch: `--policy FOLDER`.
 
 `hover` controls the rotors of a Crazyflie. `crossing` has 8 drones, `swarm` 8 to 64 drones that
 cross or converge, and `race` two drones that fly laps through gates; these use `point_mass`.
@@ -159,8 +158,7 @@ class Worlds:
         if not self._with_state:
             return torch.zeros(len(self.seen), 0)
         states = [np.repeat(env.state(), env.num_drones, axis=0) for env in self.envs]
-        # States of smaller worlds are padded with zeros
-        most = max(one.shape[1] for one in states)
+        most = max(one.shape[1] for one in states)  # smaller ones are padded with zeros
         return self._rows([np.pad(one, ((0, 0), (0, most - one.shape[1]))) for one in states])
 
     def step(self, actions: torch.Tensor) -> torch.Tensor:
@@ -233,12 +231,15 @@ def train(
     by: str = "fast_ppo",
     make_worlds: Any = Worlds,
     make_features: Any = swarm_features,
+    prepare: Any = None,
 ) -> Agent:
     """Train, print the mean return, save the policy before and after training, and return it."""
     torch.manual_seed(seed)
     worlds = make_worlds(plan, seed, central)
     size = worlds.envs[0].action_space.shape[0]
     agent = Agent(make_features(worlds, plan), size, plan, worlds.state().shape[1])
+    if prepare:  # callback that trains the agent before PPO
+        prepare(agent)
     save(agent, folder / CHECKPOINTS / "000")
     write_settings(plan, seed, folder, by)
     optimiser = torch.optim.Adam(agent.parameters(), plan.rate, eps=1e-5)

@@ -33,6 +33,7 @@ EXAMPLES = {
     "pillars": "--density 0.6 --episodes 1",
     "streets": "--stack --steps 1 --episodes 1",
     "depth_ppo": "--steps 1 --episodes 1",
+    "search_ppo": "--cloned 2 --steps 1 --episodes 1",
     "dagger": "race --rounds 2 --decisions 5 --updates 2",
     "team_critics": "maddpg --steps 1 --episodes 2",
     "self_play": "--rounds 1 --steps 1 --episodes 2",
@@ -254,6 +255,43 @@ def test_what_a_camera_drone_observes_of_goal_and_bounds(monkeypatch):
     seen = egocentric((10.0, 20.0, 5.0), north, goal, *bounds)
     expected = (0.8, 0.6, 50, 2, 60, 10, 60, 10, 5, 0, 0)  # at most 60 m are observed
     np.testing.assert_allclose(seen, expected, atol=1e-9)
+
+
+def check_search_ppo(output, folder):
+    assert numbers("cloned `sweep` from # decisions", output)[0, 0] == 2 * 64 * 3
+    assert numbers("# decisions: mean return #", output)[0, 0] == 64 * 64 * 3
+    safe, low, high = numbers(r"safe_success # \(# to #\)", output)[0]
+    assert safe == low == 0 <= high  # which has learned nothing yet
+    options = yaml.safe_load((folder / "run.yaml").read_text())["options"]
+    assert "decision_hz" not in options  # flies at that of the task
+
+
+def test_what_a_searching_drone_observes_of_the_squares(monkeypatch):
+    """By hand: four squares of 20 m; one is searched, and one is nearer to another drone."""
+    monkeypatch.syspath_prepend(FOLDER)
+    module = importlib.import_module("search_ppo")
+    position = np.array([(10.0, 10.0, 9.0), (30.0, 24.0, 9.0), (0.0, 0.0, 9.0)])
+    alive = np.array([True, True, False])  # the third drone is lost
+    searched, ground = np.array([0.0, 0.0, 0.0, 1.0]), np.ones(4)
+    clue, out = np.array((20.0, 20.0, 0.0)), np.full(len(module.LABELS), np.nan)
+    sighting = (1.0, 16.0, 12.0, -9.0)  # 20 m away, 4.5 m from the other drone
+    state = position[0], searched, sighting, position, alive, ground, clue, 20.0
+    module.unsearched(0, *state, out)
+    rings, sectors = len(module.RINGS), module.SECTORS
+    whole, own = out[: 2 * rings * sectors].reshape(2, rings, sectors)
+    # Squares at (10, 10), (10, 30) and (30, 10) m; the last is 14 m from the other drone
+    expected = np.zeros((rings, sectors))
+    expected[0, 0], expected[2, 3] = 1.0, 1.0  # here, and 20 m north
+    np.testing.assert_allclose(own, expected, atol=1e-12)
+    expected[2, 0] = 1.0  # 20 m east
+    np.testing.assert_allclose(whole, expected, atol=1e-12)
+    np.testing.assert_allclose(out[-5:], (0, 0, 0, 0, 1), atol=1e-12)
+    # Between two sectors and two rings
+    place = np.zeros(rings * sectors)
+    module.add_to_map(place, 0, 14 * np.cos(np.pi / 4), 14 * np.sin(np.pi / 4))
+    grid = place.reshape(rings, sectors)
+    np.testing.assert_allclose(grid[1:3, 1:3], np.full((2, 2), 0.25))
+    assert grid.sum() == pytest.approx(1.0)
 
 
 def test_ranges_of_half_a_second_ago_are_of_the_same_episode(monkeypatch):
