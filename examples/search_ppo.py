@@ -10,7 +10,11 @@ Run it:
 
     python examples/search_ppo.py
 
-Takes RESULTS
+Takes 18 minutes on one core, and then evaluates at medium in `bullet`. Needs the extras `sb3` and
+`onnx`. In 20 episodes from seed 1000 (`sweep`: 1.00, 1.00, 19.8 s) safe_success was 0.90, found
+1.00 and find_time 17.2 s: the network finds victims faster, but drones that hover above the same
+victim conflict. The output folder can be flown: `--policy FOLDER`, in this folder and with
+`--trust`.
 """
 
 import argparse

@@ -258,7 +258,7 @@ def test_what_a_camera_drone_observes_of_goal_and_bounds(monkeypatch):
 
 
 def check_search_ppo(output, folder):
-    assert numbers("cloned `sweep` from # decisions", output)[0, 0] == 2 * 64 * 3
+    assert numbers("cloned `sweep` from # decisions", output)[0] == 2 * 64 * 3
     assert numbers("# decisions: mean return #", output)[0, 0] == 64 * 64 * 3
     safe, low, high = numbers(r"safe_success # \(# to #\)", output)[0]
     assert safe == low == 0 <= high  # which has learned nothing yet
