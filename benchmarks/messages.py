@@ -177,7 +177,7 @@ def fly(agent: Agent, options: dict[str, Any], written: bool, episodes: int) -> 
     return {name: float(values.mean()) for name, values in last.items()}
 
 
-def t_interval(values: Sequence[float]) -> tuple[float, float, float]:
+def t_interval(values: np.ndarray) -> tuple[float, float, float]:
     """Return the mean and its 95 % interval by Student's t distribution."""
     mean = float(np.mean(values))
     half = float(stats.t.ppf(0.975, len(values) - 1) * stats.sem(values))

@@ -76,7 +76,7 @@ def test_written_messages_are_the_observed_clue_and_arrive(messages, searches):
 
 def test_intervals_are_those_of_student(messages):
     # The quantile of 0.975 with 2 degrees of freedom is 4.3027
-    mean, low, high = messages.t_interval([1.0, 2.0, 3.0])
+    mean, low, high = messages.t_interval(np.array([1.0, 2.0, 3.0]))
     assert (mean, low, high) == pytest.approx((2.0, -0.4841, 4.4841), abs=1e-4)
 
 
