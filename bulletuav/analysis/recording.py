@@ -61,6 +61,8 @@ SHAPES = {
     "scene/rotor_speed": "R N M",
     "scene/obstacle_quaternion": "R K 4",
     "scene/link": "L 3",
+    "scene/cable": "R E 2 3",
+    "scene/building_colour": "P 3",
     "scene/hull": "H 3",
     "scene/hull_size": "S",
 }

@@ -18,6 +18,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from bulletuav.envs.cables import list_all_ends
 from bulletuav.envs.options import EnvOptions
 from bulletuav.geometry.convex import bounding_radius
 from bulletuav.geometry.scenery import NOWHERE
@@ -100,6 +101,14 @@ class Recorded(Protocol):
         """Targets that are served, (W, N, U) bool."""
 
     @property
+    def cable_ends(self) -> np.ndarray:
+        """Stack the ends of cables of all rows, (R, E, 2, 3), m; NaN where there is no cable."""
+        most = max(len(ends) for ends in self._cables)
+        stacked = np.full((len(self._cables), most, 2, 3), np.nan)
+        for k, ends in enumerate(self._cables):
+            stacked[k, : len(ends)] = ends
+        return stacked
+
     def readings(self) -> Mapping[str, np.ndarray]:
         """Sensor readings, (W, N, ...) by name."""
 
@@ -131,6 +140,7 @@ class SceneLog:
         self._turns: list[np.ndarray] = []
         self._bodies: list[tuple[np.ndarray, np.ndarray]] = []
         self._links: list[np.ndarray] = []
+        self._cables: list[np.ndarray] = []
         self._readings: dict[str, list[np.ndarray]] = {}
         self.record()
 
@@ -148,13 +158,16 @@ class SceneLog:
             turn = np.concatenate([memory[QUATERNION][0], turn])
         self._bodies.append((place.copy(), turn.copy()))
         self._links.append(aviary.links[0][:, self._active])
+        worlds = aviary.worlds
+        swarm, _ = worlds.shown(aviary.swarm, aviary.alive)
+        self._cables.append(list_all_ends(worlds.dynamics.cables, swarm))
         for name, values in aviary.readings.items():
             if name in self._labels:
                 self._readings.setdefault(name, []).append(values[0].copy())
 
     def discard_history(self) -> None:
         """Discard all rows but the last."""
-        del self._bodies[:-1]
+        del self._bodies[:-1], self._cables[:-1]
         for kept in (self._rotor_speed, self._turns, self._links, *self._readings.values()):
             del kept[:-1]
 
@@ -195,8 +208,14 @@ class SceneLog:
 
     def scene(self) -> dict[str, np.ndarray]:
         """Return the parts of the scene."""
-        hulls = self._aviary.solids().hulls
+        solids, cables = self._aviary.solids(), self.cable_ends()
+        hulls = solids.hulls
+        # Only where there are some, so that recordings without them stay equal
+        more = {"cable": cables} if cables.size else {}
+        if solids.colours is not None:
+            more["building_colour"] = solids.colours
         return {
+            **more,
             # Options of users may contain NumPy numbers.
             "about": np.array(json.dumps(self._about(), default=float)),
             "rotor_speed": np.array(self._rotor_speed),

@@ -28,6 +28,12 @@ def _gather(array: np.ndarray, first: int, number: int) -> Any:
     return rows[drones, number].view(LaneNumbers)
 
 
+def _gather_at(array: np.ndarray, places: np.ndarray, row: int, offset: int) -> Any:
+    """Python version of `gathered_at`."""
+    _require_c_order("gathered_at", array)
+    return array.reshape(-1)[places[row] + offset].view(LaneNumbers)
+
+
 def _scatter(array: np.ndarray, first: int, count: int, value: np.ndarray) -> None:
     """Python version of `scatter`."""
     _require_c_order("scatter", array)
@@ -71,6 +77,34 @@ def gathered(_: Any, array: Any, first: Any, number: Any) -> Any:
         return vector
 
     return (MASK if is_bool else LANES)(array, types.intp, types.intp), generate
+
+
+@in_python(_gather_at)
+@intrinsic  # type: ignore[untyped-decorator]
+def gathered_at(_: Any, array: Any, places: Any, row: Any, offset: Any) -> Any:
+    """Return numbers of an array from any `WIDTH` places as lanes.
+
+    Args:
+        array: float64 in C order, with any axes.
+        places: (K, `WIDTH`) int64, indices into the flattened array; C order.
+        row: Row of `places`.
+        offset: Number that is added to all indices.
+    """
+    if array.layout != "C" or places.layout != "C" or array.dtype != types.float64:
+        return None
+
+    def generate(context: Any, builder: Any, given: Any, values: Any) -> Any:
+        numbers = make_array(array)(context, builder, values[0]).data
+        first = builder.mul(values[2], values[2].type(WIDTH))
+        index = builder.gep(make_array(places)(context, builder, values[1]).data, [first])
+        vector = ir.Constant(VECTOR, ir.Undefined)
+        for lane in range(WIDTH):
+            place = builder.load(builder.gep(index, [ir.IntType(64)(lane)]))
+            value = builder.load(builder.gep(numbers, [builder.add(place, values[3])]))
+            vector = builder.insert_element(vector, value, ir.IntType(32)(lane))
+        return vector
+
+    return LANES(array, places, types.intp, types.intp), generate
 
 
 @in_python(_scatter)

@@ -13,7 +13,7 @@ import numpy as np
 
 from bulletuav.compiled.functions import tan
 from bulletuav.compiled.plain import record_type
-from bulletuav.vehicle.airframe import MAX_ROTORS, Airframe
+from bulletuav.vehicle.airframe import MAX_ROTORS, STANDARD_GRAVITY, Airframe
 
 GAINS = record_type(
     [
@@ -24,6 +24,7 @@ GAINS = record_type(
         ("max_deceleration", "f8"),
         ("max_tilt", "f8"),
         ("max_thrust", "f8"),
+        ("max_push", "f8"),
         ("mixer", "f8", (MAX_ROTORS, 4)),
         ("pid_mixer", "f8", (MAX_ROTORS, 3)),
         ("pwm_slope", "f8"),
@@ -40,6 +41,8 @@ FASTEST_ATTITUDE = 10.0
 """Highest frequency of the attitude loop, rad/s"""
 MAX_TILT = math.radians(55)
 """Largest tilt that controllers command, rad"""
+MAX_PUSH = 0.5
+"""Bound of the estimated disturbance without loads, in multiples of gravity"""
 MAX_DECELERATION = 5.0
 """Deceleration towards a target position, m/s^2"""
 
@@ -55,6 +58,7 @@ class GainRow(Protocol):
         max_deceleration: Deceleration towards a target position, m/s^2.
         max_tilt: Tangent of the largest tilt.
         max_thrust: Thrust of all rotors at their highest speed, N.
+        max_push: Bound of the estimated disturbance, in multiples of gravity.
         mixer: (MAX_ROTORS, 4) thrust of each rotor from collective thrust and torques.
         pid_mixer: (MAX_ROTORS, 3) PWM steps of each rotor per unit of the PID's roll, pitch and yaw
             output, which is not a torque in N m.
@@ -71,6 +75,7 @@ class GainRow(Protocol):
     max_deceleration: float
     max_tilt: float
     max_thrust: float
+    max_push: float
     mixer: np.ndarray
     pid_mixer: np.ndarray
     pwm_slope: float
@@ -86,6 +91,8 @@ def gain_rows(airframes: Sequence[Airframe], max_speed: float) -> np.ndarray:
     The position loop is four times slower, and yaw runs at w_R / 2. All loops have damping 0.8.
     Inner loops therefore settle before outer loops.
 
+    Next to loads, a drone may learn any weight that its spare thrust lifts.
+
     Args:
         airframes: Airframe of each of N drones.
         max_speed: Highest speed that the drones can be commanded to fly at, m/s.
@@ -94,6 +101,7 @@ def gain_rows(airframes: Sequence[Airframe], max_speed: float) -> np.ndarray:
         (N,) rows of `GAINS`.
     """
     rows = np.zeros(len(airframes), dtype=GAINS)
+    any_load = any(airframe.is_load for airframe in airframes)
     for row, airframe in zip(rows, airframes, strict=True):
         lag = max(airframe.lag_up, airframe.lag_down)
         frequency = min(FASTEST_ATTITUDE, 1 / (2 * lag)) if lag > 0 else FASTEST_ATTITUDE
@@ -106,6 +114,8 @@ def gain_rows(airframes: Sequence[Airframe], max_speed: float) -> np.ndarray:
         row["max_deceleration"] = MAX_DECELERATION
         row["max_tilt"] = tan(MAX_TILT)
         row["max_thrust"] = airframe.max_thrust
+        spare = airframe.max_thrust / (airframe.mass * STANDARD_GRAVITY) - 1.0
+        row["max_push"] = max(MAX_PUSH, spare) if any_load else MAX_PUSH
         if num_rotors:
             row["mixer"][:num_rotors] = exact_pseudo_inverse(airframe.allocation())
 

@@ -26,8 +26,6 @@ PUSHES = 6
 """Number of these about pushes, which come first"""
 FASTER = 2.0
 """Frequency of the observer of pushes, relative to that of the position loop"""
-LARGEST_PUSH = 0.5
-"""Bound of the estimated push, in multiples of gravity"""
 LARGEST_TORQUE = 0.25
 """Bound of the estimated torque, relative to the maximum thrust times the arm"""
 
@@ -103,10 +101,10 @@ def learned_push(
     # The bound prevents wind-up on the ground or in a hand.
     push = (memory[3], memory[4], memory[5])
     size = math.sqrt(dot(push, push))
-    over = size > LARGEST_PUSH * gravity
+    over = size > gain.max_push * gravity
     if is_any(over):
         for k in range(3):
-            memory[3 + k] = where(over, push[k] * LARGEST_PUSH * gravity / size, push[k])
+            memory[3 + k] = where(over, push[k] * gain.max_push * gravity / size, push[k])
     return memory[3], memory[4], memory[5]
 
 

@@ -44,7 +44,9 @@ class Blocks(NamedTuple):
         lag: (B, 6, `WIDTH`) the same factors by block.
         flown: (B,) bool, whether the marked drones of a block are integrated together.
         alike: (B,) bool, whether all drones of a block have the same number of rotors.
+        has_rotors: (D,) bool, bodies of such blocks that are no loads.
         together: (D,) bool, whether a drone is integrated with its block.
+        steered: (D,) bool, drones that fly alone, but whose controllers run with their block.
         wakes: Wakes that act on the group's drones.
         command: (G, N, R) commanded rotor speeds, rad/s.
         ratio: (B, R, `WIDTH`) fractions of their commanded speeds that rotors reach.
@@ -64,7 +66,9 @@ class Blocks(NamedTuple):
     lag: np.ndarray
     flown: np.ndarray
     alike: np.ndarray
+    has_rotors: np.ndarray
     together: np.ndarray
+    steered: np.ndarray
     wakes: Wakes
     command: np.ndarray
     ratio: np.ndarray
@@ -98,7 +102,9 @@ class Blocks(NamedTuple):
             lag=lane_zeros(blocks, 6),
             flown=np.zeros(blocks, dtype=bool),
             alike=np.zeros(blocks, dtype=bool),
+            has_rotors=np.zeros(blocks * WIDTH, dtype=bool),
             together=np.zeros(blocks * WIDTH, dtype=bool),
+            steered=np.zeros(blocks * WIDTH, dtype=bool),
             wakes=Wakes.of(worlds, num_drones),
             command=np.zeros((worlds, num_drones, num_rotors)),
             ratio=lane_zeros(blocks, num_rotors),
@@ -134,7 +140,7 @@ def pack_blocks(blocks: Any, air: Any, first: int) -> None:
         ratio = lanes_of(blocks.ratio, b)
         for r in range(air.rotor_ratio.shape[2]):
             ratio[r] = gathered(air.rotor_ratio, drone, r)
-        blocks.alike[b] = _are_alike(blocks, drone)
+        blocks.alike[b] = _are_alike(blocks, drone, b * WIDTH)
     pack_surface(blocks, air, first)
 
 
@@ -147,35 +153,73 @@ def pack_surface(blocks: Any, air: Any, first: int) -> None:
 
 
 @func
-def _are_alike(blocks: Any, drone: int) -> bool:
-    """Check whether the `WIDTH` drones from `drone` on have the same number of rotors, but not 0.
+def _are_alike(blocks: Any, drone: int, first: int) -> bool:
+    """Check whether the drones of a block have the same number of rotors, and find its loads.
 
-    Loads have no controller. Lanes after the last drone of all worlds are ignored.
+    The block has the `WIDTH` bodies from `drone` on. Those without rotors are ignored unless they
+    come first, and lanes after the last body of all worlds, too.
     """
     num_drones = blocks.rows.shape[1]
     count = blocks.rows.shape[0] * num_drones
     rotors = blocks.rows[drone // num_drones, drone % num_drones].num_rotors
-    for other in range(drone + 1, min(drone + WIDTH, count)):
+    are_alike = rotors > 0
+    for lane in range(min(WIDTH, count - drone)):
+        other = drone + lane
         row = blocks.rows[other // num_drones, other % num_drones]
-        if row.num_rotors != rotors:
-            return False
-    return bool(rotors > 0)
+        blocks.has_rotors[first + lane] = row.num_rotors > 0
+        are_alike = are_alike and row.num_rotors in (0, rotors)
+    return bool(are_alike)
 
 
 @func
-def is_block(blocks: Any, b: int) -> bool:
-    """Check whether at least `FEWEST` drones of a block are marked to be integrated together.
-
-    Otherwise their marks are cleared, and the drones are integrated one by one.
-    """
+def has_enough(marks: np.ndarray, b: int) -> bool:
+    """Check whether at least `FEWEST` drones of a block are marked; clear the marks otherwise."""
     count = 0
     for k in range(b * WIDTH, (b + 1) * WIDTH):
-        count += blocks.together[k]
+        count += marks[k]
     if count >= FEWEST:
         return True
     for k in range(b * WIDTH, (b + 1) * WIDTH):
-        blocks.together[k] = False
+        marks[k] = False
     return False
+
+
+@func
+def _state_of(swarm: Any, drone: int) -> tuple[Any, Any, Any, Any]:
+    """Return the states of `WIDTH` drones from `drone` on as lanes."""
+    return (
+        three(swarm.position, drone),
+        four(swarm.quaternion, drone),
+        three(swarm.velocity, drone),
+        three(swarm.rates, drone),
+    )
+
+
+@deferred(types.none)
+@kernel
+def steer_block(blocks: Any, first: int, b: int, gravity: float, dt: float) -> None:
+    """Run the controllers of the drones of a block in `steered`, and write their commands.
+
+    Args:
+        blocks: `Blocks` of a group; the block has a common level of setpoints.
+        first: Number of the group's first drone, counted over all worlds.
+        b: Index of the block.
+        gravity: Gravitational acceleration that controllers know, m/s^2, downwards.
+        dt: Duration of the step, s.
+    """
+    drone, num_drones = first + b * WIDTH, blocks.rows.shape[1]
+    num_rotors = lanes_row(blocks.rows, blocks.packed, b).num_rotors
+    speed, command = lanes_of(blocks.rotors, 0), lanes_of(blocks.rotors, 1)
+    for r in range(num_rotors):
+        speed[r] = gathered(blocks.swarm.rotor_speed, drone, r)
+    state = _state_of(blocks.swarm, drone)
+    steer(blocks.steering, b, drone, state, speed, gravity, dt, command)
+    for lane in range(WIDTH):
+        one = b * WIDTH + lane
+        if blocks.steered[one]:
+            for r in range(num_rotors):
+                blocks.command[one // num_drones, one % num_drones, r] = blocks.rotors[1, r, lane]
+            remember_lane(blocks.steering, lane, drone + lane)
 
 
 @func
@@ -204,12 +248,7 @@ def fly_block(blocks: Any, first: int, b: int, gravity: float, dt: float) -> Non
     command = lanes_of(blocks.rotors, 1)
     for r in range(row.num_rotors):
         speed[r] = gathered(swarm.rotor_speed, drone, r)
-    state = (
-        three(swarm.position, drone),
-        four(swarm.quaternion, drone),
-        three(swarm.velocity, drone),
-        three(swarm.rates, drone),
-    )
+    state = _state_of(swarm, drone)
     # Controllers may run here, as the commands of other drones have no effect on them
     steered = blocks.steering.level[b] != ALONE
     if steered:

@@ -10,7 +10,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bulletuav.compiled.lanes import WIDTH, lane_zeros
-from bulletuav.vehicle.swarm import Swarm
 
 WORLD = -1
 """Body of an end that is fixed in the world"""
@@ -27,53 +26,65 @@ KEPT = ("body", "point", "length", "is_taut", "tension")
 class CableWork(NamedTuple):
     """Arrays that the flight of tied bodies works on, for N bodies and C cables of a world.
 
+    Bodies are in lanes by their index: body i is lane i % `WIDTH` of block i // `WIDTH`. A further
+    block stands for the world, to which ends may be fixed. The cables of a group are in lanes by
+    their order in it.
+
     Attributes:
-        now: State of the bodies at the present stage, with axes (1, N, ...).
-        slope: Time derivative of this state.
+        now: (B + 1, 13, `WIDTH`) state of the bodies at the present stage: position, velocity,
+            rates and quaternion.
+        begun: The same at the begin of a Runge-Kutta step.
+        slope: The time derivative of `now`.
         total: Weighted sum of the slopes of a Runge-Kutta step.
-        speed: (N, 3, R) rotor speeds at the begin, middle and end of the substep, rad/s.
-        rotors: (N, 3, 6) numbers of `Rotors` at these times.
-        lane_speed: (3 B, R, `WIDTH`) the same rotor speeds, by block of drones and time.
-        lane_rotors: (3 B, 6, `WIDTH`) the same numbers of `Rotors`.
-        lane_slope: (13, `WIDTH`) slopes of a block.
-        lane_lift: (B,) number of rotors in ground effect of a block, if any drone has some.
+        speed: (3 B, R, `WIDTH`) rotor speeds at the begin, middle and end of the substep, rad/s.
+        rotors: (3 B, 6, `WIDTH`) numbers of `Rotors` at these times.
+        lift: (B,) number of rotors in ground effect of a block, if any drone has some.
+        is_used: (B,) bool, blocks with bodies of the present group.
         is_block: (B,) bool, blocks with drones whose slopes are computed together.
         in_block: (N,) bool, drones whose slopes are computed with their block.
         lifted: (N,) number of rotors in ground effect.
         is_fixed: (N,) bool, bodies that do not move in this substep.
-        push: (C, 2, 6) force (world axes) and torque (body axes) on both bodies per tension.
-        response: (C, 2, 6) accelerations and changes of body rates per tension, 1/kg and 1/(kg m).
-        reach: (C,) distance of the ends, m.
-        rate: (C,) its rate, m/s.
-        bend: (C,) second derivative of the distance at constant velocities and rates, m/s^2.
-        matrix: (C, C) second derivatives of the distances by tensions, negative, 1/kg.
+        ends: (2 L, `WIDTH`) place of the bodies at both ends of cables in the array `now`.
+        number: (2 L, 1, `WIDTH`) indices of these bodies; negative for ends in the world.
+        held: (2 L, 7, `WIDTH`) ends in the axes of their bodies, m, inverse masses, 1/kg, and
+            inverse inertias, 1/(kg m^2); zero for bodies that do not move.
+        measured: (L, 3, `WIDTH`) distance of the ends, m, its rate, m/s, and its second derivative
+            at constant velocities and rates, m/s^2.
+        push: (2 L, 6, `WIDTH`) force (world axes) and torque (body axes) on both bodies per
+            tension.
+        response: (2 L, 6, `WIDTH`) accelerations and changes of body rates per tension, 1/kg and
+            1/(kg m).
+        columns: (C, L, `WIDTH`) columns of the matrix: second derivatives of the distances by
+            tensions, negative, 1/kg.
+        matrix: (C, L `WIDTH`) the same numbers.
         factor: (C, C) Cholesky factor.
-        wanted: (C,) right-hand side.
+        wanted: (L, `WIDTH`) right-hand side.
         found: (C,) solution.
-        listed: (C,) cables of the present system of equations.
+        listed: (C,) bool, cables in the present system of equations.
         acts: (C,) bool, listed cables that carry a tension in the present solution.
-        pulls: (C,) bool, cables that carried a tension in the last solution, by cable.
-        pull: (C,) mean tension of a step times its duration, N s, by cable.
+        pulls: (C,) bool, cables that carried a tension in the last solution.
+        pull: (C,) mean tension of a step times its duration, N s.
     """
 
-    now: Swarm
-    slope: Swarm
-    total: Swarm
+    now: np.ndarray
+    begun: np.ndarray
+    slope: np.ndarray
+    total: np.ndarray
     speed: np.ndarray
     rotors: np.ndarray
-    lane_speed: np.ndarray
-    lane_rotors: np.ndarray
-    lane_slope: np.ndarray
-    lane_lift: np.ndarray
+    lift: np.ndarray
+    is_used: np.ndarray
     is_block: np.ndarray
     in_block: np.ndarray
     lifted: np.ndarray
     is_fixed: np.ndarray
+    ends: np.ndarray
+    number: np.ndarray
+    held: np.ndarray
+    measured: np.ndarray
     push: np.ndarray
     response: np.ndarray
-    reach: np.ndarray
-    rate: np.ndarray
-    bend: np.ndarray
+    columns: np.ndarray
     matrix: np.ndarray
     factor: np.ndarray
     wanted: np.ndarray
@@ -82,6 +93,44 @@ class CableWork(NamedTuple):
     acts: np.ndarray
     pulls: np.ndarray
     pull: np.ndarray
+
+    @classmethod
+    def of(cls, num_bodies: int, num_rotors: int, num_cables: int) -> "CableWork":
+        """Allocate the arrays for N bodies with R rotors and C cables; without cables for none."""
+        blocks = -(-num_bodies // WIDTH) if num_cables else 0
+        rows = -(-num_cables // WIDTH)
+        now, begun, slope, total = (lane_zeros(blocks + 1, 13) for _ in range(4))
+        now[-1, 12] = 1.0
+        columns = lane_zeros(num_cables, rows)
+        return cls(
+            now=now,
+            begun=begun,
+            slope=slope,
+            total=total,
+            speed=lane_zeros(3 * blocks, num_rotors),
+            rotors=lane_zeros(3 * blocks, 6),
+            lift=np.zeros(blocks, dtype=np.int64),
+            is_used=np.zeros(blocks, dtype=bool),
+            is_block=np.zeros(blocks, dtype=bool),
+            in_block=np.zeros(num_bodies, dtype=bool),
+            lifted=np.zeros(num_bodies, dtype=np.int64),
+            is_fixed=np.zeros(num_bodies, dtype=bool),
+            ends=np.zeros((2 * rows, WIDTH), dtype=np.int64),
+            number=lane_zeros(2 * rows, 1),
+            held=lane_zeros(2 * rows, 7),
+            measured=lane_zeros(rows, 3),
+            push=lane_zeros(2 * rows, 6),
+            response=lane_zeros(2 * rows, 6),
+            columns=columns,
+            matrix=columns.reshape(num_cables, rows * WIDTH),
+            factor=np.zeros((num_cables, num_cables)),
+            wanted=lane_zeros(rows),
+            found=np.zeros(num_cables),
+            listed=np.zeros(num_cables, dtype=bool),
+            acts=np.zeros(num_cables, dtype=bool),
+            pulls=np.zeros(num_cables, dtype=bool),
+            pull=np.zeros(num_cables),
+        )
 
 
 class Cables(NamedTuple):
@@ -133,37 +182,6 @@ def make_cables(shape: tuple[int, int, int], num_cables: int) -> Cables:
     """
     worlds, bodies, rotors = shape
     each = (worlds, num_cables)
-    # Groups are solved one after the other, in the same arrays; without cables they are empty
-    used = bodies if num_cables else 0
-    blocks = -(-used // WIDTH)
-    work = CableWork(
-        now=Swarm.zeros(1, used, 0),
-        slope=Swarm.zeros(1, used, 0),
-        total=Swarm.zeros(1, used, 0),
-        speed=np.zeros((used, 3, rotors)),
-        rotors=np.zeros((used, 3, 6)),
-        lane_speed=lane_zeros(3 * blocks, rotors),
-        lane_rotors=lane_zeros(3 * blocks, 6),
-        lane_slope=lane_zeros(13),
-        lane_lift=np.zeros(blocks, dtype=np.int64),
-        is_block=np.zeros(blocks, dtype=bool),
-        in_block=np.zeros(used, dtype=bool),
-        lifted=np.zeros(used, dtype=np.int64),
-        is_fixed=np.zeros(used, dtype=bool),
-        push=np.zeros((num_cables, 2, 6)),
-        response=np.zeros((num_cables, 2, 6)),
-        reach=np.zeros(num_cables),
-        rate=np.zeros(num_cables),
-        bend=np.zeros(num_cables),
-        matrix=np.zeros((num_cables, num_cables)),
-        factor=np.zeros((num_cables, num_cables)),
-        wanted=np.zeros(num_cables),
-        found=np.zeros(num_cables),
-        listed=np.zeros(num_cables, dtype=np.int64),
-        acts=np.zeros(num_cables, dtype=bool),
-        pulls=np.zeros(num_cables, dtype=bool),
-        pull=np.zeros(num_cables),
-    )
     return Cables(
         body=np.full((*each, 2), FREE),
         point=np.zeros((*each, 2, 3)),
@@ -176,14 +194,15 @@ def make_cables(shape: tuple[int, int, int], num_cables: int) -> Cables:
         first_member=np.zeros((worlds, bodies + 1), dtype=np.int64),
         first_cable=np.zeros((worlds, bodies + 1), dtype=np.int64),
         num_groups=np.zeros(worlds, dtype=np.int64),
-        work=work,
+        # Groups are solved one after the other, in the same arrays
+        work=CableWork.of(bodies, rotors, num_cables),
     )
 
 
 def with_entries(cables: Cables, num_cables: int) -> Cables:
     """Return the same cables in arrays of `num_cables` entries a world, at least as many."""
     worlds, bodies = cables.is_tied.shape
-    more = make_cables((worlds, bodies, cables.work.speed.shape[2]), num_cables)
+    more = make_cables((worlds, bodies, cables.work.speed.shape[1]), num_cables)
     for name in KEPT:
         before: np.ndarray = getattr(cables, name)
         getattr(more, name)[:, : before.shape[1]] = before

@@ -24,13 +24,14 @@ from bulletuav.dynamics.blocks import (
     FEWEST,
     Blocks,
     fly_block,
-    is_block,
+    has_enough,
     is_steered,
     pack_blocks,
+    steer_block,
 )
 from bulletuav.dynamics.cables import Cables, group_bodies
 from bulletuav.dynamics.integration import lag_stages, rk4, slope_of, turn_rotors
-from bulletuav.dynamics.steering import pack_steering
+from bulletuav.dynamics.steering import ALONE, pack_steering
 from bulletuav.dynamics.tied import fly_tied, hold_tied
 from bulletuav.geometry.rotation import dot, vec3
 from bulletuav.registry import register
@@ -83,7 +84,7 @@ def _mark(
     # Read the array addresses once: the compiler must assume that writes could change them
     alive, spin = drones.alive, drones.swarm.rates
     stopped, asleep = contact.stopped, contact.asleep
-    together, alike = blocks.together, blocks.alike
+    together, alike, has_rotors = blocks.together, blocks.alike, blocks.has_rotors
     drone = 0
     for w in range(first, last):
         for i in range(alive.shape[1]):
@@ -91,12 +92,31 @@ def _mark(
             still = stopped[w, i] | asleep[w, i] | tied[w, i]
             calm = dot(rates, rates) * dt * dt < CALM * CALM
             # Branches would be slower
-            together[drone] = alive[w, i] & calm & (not still) & alike[drone // WIDTH]
+            flies = alive[w, i] & calm & (not still)
+            together[drone] = flies & alike[drone // WIDTH] & has_rotors[drone]
             drone += 1
     for k in range(drone, blocks.together.shape[0]):
         blocks.together[k] = False
     for b in range(blocks.packed.shape[0]):
-        blocks.flown[b] = is_block(blocks, b)
+        blocks.flown[b] = has_enough(blocks.together, b)
+
+
+@func
+def _steer_blocks(
+    decision: Decision, contact: ContactState, blocks: Blocks, first: int, last: int
+) -> None:
+    """Run the controllers of blocks that are not integrated together, such as of tied drones."""
+    alive, stopped, steered = decision.drones.alive, contact.stopped, blocks.steered
+    num_drones = alive.shape[1]
+    for b in range(blocks.packed.shape[0]):
+        is_apart = blocks.flown[b] or not blocks.alike[b] or blocks.steering.level[b] == ALONE
+        for k in range(b * WIDTH, (b + 1) * WIDTH):
+            w, i = first + k // num_drones, k % num_drones
+            flies = not is_apart and w < last and blocks.has_rotors[k]
+            steered[k] = flies and alive[w, i] and not stopped[w, i]
+        if not is_apart and has_enough(steered, b):
+            gravity, dt = decision.air.gravity, decision.step.dt
+            steer_block(blocks, first * num_drones, b, gravity, dt)
 
 
 @func
@@ -143,13 +163,15 @@ def fly_worlds(
     # Wakes and commands of all drones are computed before any drone moves
     if num_drones > 1:
         sum_wakes(swarm, alive, parameters, first, last, substep > 0, leeway, blocks.wakes)
+    _steer_blocks(decision, contact, blocks, first, last)
     for w in range(first, last):
         save_start_state(contact, swarm, w)
         for i in range(num_drones):
             if alive[w, i] and not contact.stopped[w, i]:
                 drone = (w - first) * num_drones + i
                 command = blocks.command[w - first, i]
-                if not is_steered(blocks, drone) and parameters[w, i].num_rotors > 0:
+                steered = blocks.steered[drone] or is_steered(blocks, drone)
+                if not steered and parameters[w, i].num_rotors > 0:
                     command_rotors(cascade, setpoints, swarm, w, i, dt, air.gravity, command)
 
     # From here on drones do not interact until contacts are resolved

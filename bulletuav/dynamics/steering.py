@@ -74,7 +74,10 @@ class Steering(NamedTuple):
 
 @func
 def _common_level(steering: Any, levels: np.ndarray, drone: int) -> int:
-    """Return the setpoint level that `WIDTH` drones from `drone` on share, or `ALONE`."""
+    """Return the setpoint level that `WIDTH` drones from `drone` on share, or `ALONE`.
+
+    Loads, which have no controller, are ignored unless they come first.
+    """
     num_drones = levels.shape[1]
     level = levels[drone // num_drones, drone % num_drones]
     tips = steering.nominal_rows[drone // num_drones, drone % num_drones].drag_height > 0.0
@@ -82,7 +85,9 @@ def _common_level(steering: Any, levels: np.ndarray, drone: int) -> int:
         return ALONE
     for other in range(drone + 1, min(drone + WIDTH, levels.size)):
         w, i = other // num_drones, other % num_drones
-        if levels[w, i] != level or (steering.nominal_rows[w, i].drag_height > 0.0) != tips:
+        row = steering.nominal_rows[w, i]
+        differs = levels[w, i] != level or (row.drag_height > 0.0) != tips
+        if row.num_rotors > 0 and differs:
             return ALONE
     return int(level)
 

@@ -10,6 +10,8 @@ where the term `bend` has the products of velocities. The same matrix yields the
 that become taut (from the rates of the distances), and corrections of positions (from their excess
 over the lengths).
 
+The cables of a group are measured in SIMD lanes, in which also the rows of the matrix are computed.
+
 References:
     D. Baraff, Fast contact force computation for nonpenetrating rigid bodies, SIGGRAPH 1994.
     K. G. Murty, Note on a Bard-type scheme for solving the complementarity problem, Opsearch 1974
@@ -21,8 +23,12 @@ from typing import Any
 
 import numpy as np
 
+from bulletuav.compiled.gather import gathered_at
 from bulletuav.compiled.kernel import func, kernel
+from bulletuav.compiled.lanes import WIDTH, is_any, lanes_of, where
+from bulletuav.dynamics.cables import WORLD
 from bulletuav.geometry.rotation import (
+    Quat4,
     Vec3,
     axes,
     cross,
@@ -31,8 +37,6 @@ from bulletuav.geometry.rotation import (
     normalise_quaternion,
     plus,
     product,
-    quat4,
-    vec3,
 )
 
 REGULARISATION = 1e-10
@@ -43,136 +47,199 @@ SMALL = 1e-7
 """Error of a length that one correction removes, m"""
 MIN_REACH = 1e-9
 """Distance of the ends below which a cable has no direction, m"""
-STILL = (0.0, 0.0, 0.0)
-"""Velocity of a fixed end"""
+
+POSITION, VELOCITY, RATES, QUATERNION = 0, 3, 6, 9
+"""First numbers of the parts of a state in `CableWork.now`"""
 
 
 @func
-def _move_end(
-    now: Any, body: int, at: Vec3, turned: tuple[Vec3, Vec3, Vec3]
-) -> tuple[Vec3, Vec3, Vec3]:
-    """Return the motion of a cable's end: place, velocity, and acceleration by the rotation alone.
+def num_cables(cables: Any, w: int, g: int) -> int:
+    """Return the number of cables of a group, slack ones included."""
+    return int(cables.first_cable[w, g + 1] - cables.first_cable[w, g])
 
-    Args:
-        now: `Swarm` with the state.
-        body: Index of the body; `WORLD` for a fixed end.
-        at: The end in the axes of its body, or in the world, m.
-        turned: Axes of the body.
-    """
-    if body < 0:
-        return at, STILL, STILL
-    rates = vec3(now.rates, 0, body)
-    turning = cross(rates, at)
-    place = plus(vec3(now.position, 0, body), 1.0, _rotate(turned, at))
-    velocity = plus(vec3(now.velocity, 0, body), 1.0, _rotate(turned, turning))
-    return place, velocity, _rotate(turned, cross(rates, turning))
+
+@func
+def _three_at(array: np.ndarray, work: Any, end: int, first: int) -> Vec3:
+    """Return three numbers of the bodies at one end of cables as lanes."""
+    return (
+        gathered_at(array, work.ends, end, first * WIDTH),
+        gathered_at(array, work.ends, end, (first + 1) * WIDTH),
+        gathered_at(array, work.ends, end, (first + 2) * WIDTH),
+    )
+
+
+@func
+def _quaternion_at(work: Any, end: int) -> Quat4:
+    """Return the quaternions of the bodies at one end of cables as lanes."""
+    x, y, z = _three_at(work.now, work, end, QUATERNION)
+    return x, y, z, gathered_at(work.now, work.ends, end, (QUATERNION + 3) * WIDTH)
 
 
 @func
 def _rotate(turned: tuple[Vec3, Vec3, Vec3], v: Vec3) -> Vec3:
     """Rotate a vector from the axes of a body into world axes."""
-    return plus(plus(plus(STILL, v[0], turned[0]), v[1], turned[1]), v[2], turned[2])
+    still = (0.0, 0.0, 0.0)
+    return plus(plus(plus(still, v[0], turned[0]), v[1], turned[1]), v[2], turned[2])
 
 
 @func
-def _axes_of(now: Any, body: int) -> tuple[Vec3, Vec3, Vec3]:
-    """Return the axes of a body in the world; those of the first body for a fixed end."""
-    return axes(quat4(now.quaternion, 0, max(body, 0)))
+def _move_end(
+    work: Any, end: int, at: Vec3, turned: tuple[Vec3, Vec3, Vec3]
+) -> tuple[Vec3, Vec3, Vec3]:
+    """Return the motion of cables' ends: place, velocity, and acceleration by the rotation alone.
+
+    Args:
+        work: `CableWork` with the state in `now`.
+        end: Row of `ends`.
+        at: The ends in the axes of their bodies, m.
+        turned: Axes of the bodies.
+    """
+    rates = _three_at(work.now, work, end, RATES)
+    turning = cross(rates, at)
+    place = plus(_three_at(work.now, work, end, POSITION), 1.0, _rotate(turned, at))
+    velocity = plus(_three_at(work.now, work, end, VELOCITY), 1.0, _rotate(turned, turning))
+    return place, velocity, _rotate(turned, cross(rates, turning))
 
 
 @func
-def _twist(at: Vec3, along: Vec3, turned: tuple[Vec3, Vec3, Vec3]) -> Vec3:
-    """Return the torque in body axes of a unit force along a direction of the world."""
+def _set_push(work: Any, end: int, at: Vec3, along: Vec3, turned: tuple[Vec3, Vec3, Vec3]) -> None:
+    """Write the wrenches on the bodies at one end of cables per tension, and their effect."""
     ahead, left, up = turned
-    return cross(at, (dot(ahead, along), dot(left, along), dot(up, along)))
-
-
-@func
-def _set_push(
-    work: Any, c: int, end: int, body: int, row: np.record, along: Vec3, twist: Vec3
-) -> None:
-    """Write the wrench on the body at one end of a cable per tension, and its effect."""
-    push, response = work.push, work.response
-    moves = body >= 0 and not work.is_fixed[max(body, 0)]
-    lightness = 1.0 / row.mass if moves else 0.0
-    ease = 1.0 if moves else 0.0
-    x, y, z = ease / row.inertia[0], ease / row.inertia[1], ease / row.inertia[2]
+    # Torque in body axes
+    twist = cross(at, (dot(ahead, along), dot(left, along), dot(up, along)))
+    held = lanes_of(work.held, end)
+    lightness, x, y, z = held[3], held[4], held[5], held[6]
+    push, response = lanes_of(work.push, end), lanes_of(work.response, end)
     for k in range(3):
-        push[c, end, k], push[c, end, 3 + k] = along[k], twist[k]
-        response[c, end, k] = lightness * along[k]
-    response[c, end, 3] = x * twist[0]
-    response[c, end, 4] = y * twist[1]
-    response[c, end, 5] = z * twist[2]
+        push[k] = along[k]
+        push[3 + k] = twist[k]
+        response[k] = lightness * along[k]
+    response[3] = x * twist[0]
+    response[4] = y * twist[1]
+    response[5] = z * twist[2]
 
 
 @kernel
-def measure_cable(cables: Any, parameters: np.ndarray, w: int, c: int) -> None:
-    """Measure the distance of the ends of a cable, its derivatives and its Jacobian.
+def measure_cables(work: Any, size: int) -> None:
+    """Measure the distances of the ends of cables, their derivatives and their Jacobian.
 
     Args:
-        cables: `Cables`, with the state of the bodies in `work.now`.
+        work: `CableWork` with the state of the bodies in `now`.
+        size: Number of cables.
+    """
+    for b in range((size + WIDTH - 1) // WIDTH):
+        one, two = 2 * b, 2 * b + 1
+        held, other = lanes_of(work.held, one), lanes_of(work.held, two)
+        here, there = (held[0], held[1], held[2]), (other[0], other[1], other[2])
+        # For fixed ends those of the world
+        turned, away = axes(_quaternion_at(work, one)), axes(_quaternion_at(work, two))
+        begin, moving, bending = _move_end(work, one, here, turned)
+        end, carried, turning = _move_end(work, two, there, away)
+        apart, drift = minus(begin, end), minus(moving, carried)
+        reach = math.sqrt(dot(apart, apart))
+        least = max(reach, MIN_REACH)
+        is_apart = reach > MIN_REACH
+        along = (
+            where(is_apart, apart[0] / least, 0.0),
+            where(is_apart, apart[1] / least, 0.0),
+            where(is_apart, apart[2] / least, 1.0),
+        )
+        rate = dot(along, drift)
+        # Rotation of the cable itself, and of both ends about the centres of mass
+        spread = (dot(drift, drift) - rate * rate) / least
+        measured = lanes_of(work.measured, b)
+        measured[0] = reach
+        measured[1] = rate
+        measured[2] = spread + dot(along, minus(bending, turning))
+        _set_push(work, one, here, (-along[0], -along[1], -along[2]), turned)
+        _set_push(work, two, there, along, away)
+
+
+@kernel
+def pack_cables(cables: Any, parameters: np.ndarray, w: int, g: int) -> None:
+    """Write what is constant of a group's cables to lanes.
+
+    Args:
+        cables: `Cables` with the bodies that do not move in `work.is_fixed`.
         parameters: (W, N) rows of `PARAMETERS`.
         w: Index of the world.
-        c: Index of the cable.
+        g: Index of the group.
     """
-    work, point = cables.work, cables.point
-    now, one, two = work.now, cables.body[w, c, 0], cables.body[w, c, 1]
-    # All is read before anything is written: the compiler must assume that writes may alias
-    here = (point[w, c, 0, 0], point[w, c, 0, 1], point[w, c, 0, 2])
-    there = (point[w, c, 1, 0], point[w, c, 1, 1], point[w, c, 1, 2])
-    turned, other = _axes_of(now, one), _axes_of(now, two)
-    begin, moving, bending = _move_end(now, one, here, turned)
-    end, carried, turning = _move_end(now, two, there, other)
-    apart, drift = minus(begin, end), minus(moving, carried)
-    reach = math.sqrt(dot(apart, apart))
-    along = (0.0, 0.0, 1.0)
-    if reach > MIN_REACH:
-        along = (apart[0] / reach, apart[1] / reach, apart[2] / reach)
-    back = (-along[0], -along[1], -along[2])
-    rate = dot(along, drift)
-    # Rotation of the cable itself, and of both ends about the centres of mass
-    spread = (dot(drift, drift) - rate * rate) / max(reach, MIN_REACH)
-    bend = spread + dot(along, minus(bending, turning))
-    work.reach[c], work.rate[c], work.bend[c] = reach, rate, bend
-    _set_push(work, c, 0, one, parameters[w, max(one, 0)], back, _twist(here, back, turned))
-    _set_push(work, c, 1, two, parameters[w, max(two, 0)], along, _twist(there, along, other))
+    work, first, size = cables.work, cables.first_cable[w, g], num_cables(cables, w, g)
+    held, number, world = work.held, work.number, work.now.shape[0] - 1
+    for s in range((size + WIDTH - 1) // WIDTH * WIDTH):
+        for end in range(2):
+            row, lane = 2 * (s // WIDTH) + end, s % WIDTH
+            body = WORLD
+            for k in range(3):
+                held[row, k, lane] = 0.0
+            for k in range(4):
+                held[row, 3 + k, lane] = np.inf
+            if s < size:
+                c = cables.cable[w, first + s]
+                body = cables.body[w, c, end]
+                for k in range(3):
+                    held[row, k, lane] = cables.point[w, c, end, k]
+            if body >= 0 and not work.is_fixed[body]:
+                record = parameters[w, body]
+                held[row, 3, lane] = record.mass
+                for k in range(3):
+                    held[row, 4 + k, lane] = record.inertia[k]
+            number[row, 0, lane] = body
+            block = body // WIDTH if body >= 0 else world
+            work.ends[row, lane] = block * work.now.shape[1] * WIDTH + max(body, 0) % WIDTH
+    for row in range((size + WIDTH - 1) // WIDTH * 2):
+        masses = lanes_of(held, row)
+        for k in range(3, 7):
+            masses[k] = 1.0 / masses[k]
 
 
 @func
-def _couple(push: np.ndarray, response: np.ndarray, one: int, end: int, two: int, at: int) -> float:
-    """Return the product of the wrench of a cable at one end with the response of another."""
-    total = 0.0
-    for k in range(6):
-        total += push[one, end, k] * response[two, at, k]
+def get_excess(cables: Any, w: int, g: int, s: int) -> float:
+    """Return the measured distance of the ends of a group's cable s beyond its length, m."""
+    c = cables.cable[w, cables.first_cable[w, g] + s]
+    return float(cables.work.measured[s // WIDTH, 0, s % WIDTH] - cables.length[w, c])
+
+
+@func
+def get_rate(work: Any, s: int) -> float:
+    """Return the measured rate of the distance of a group's cable s, m/s."""
+    return float(work.measured[s // WIDTH, 1, s % WIDTH])
+
+
+@func
+def _couple(push: Any, response: np.ndarray, end: int, lane: int) -> Any:
+    """Return the products of the wrenches of cables at one end with the response of another."""
+    total = push[0] * response[end, 0, lane]
+    for k in range(1, 6):
+        total += push[k] * response[end, k, lane]
     return total
 
 
 @kernel
-def _fill_matrix(cables: Any, w: int, size: int) -> None:
-    """Compute the second derivatives of the distances by the tensions of the listed cables.
+def _fill_matrix(work: Any, size: int) -> None:
+    """Compute the second derivatives of the distances by the tensions.
 
-    Two cables are coupled if they have a body in common. Only the lower triangle is written.
+    Two cables are coupled if they have a body in common. Only the lower triangle is valid.
     """
-    work, body = cables.work, cables.body
-    push, response, matrix, listed = work.push, work.response, work.matrix, work.listed
-    for i in range(size):
-        one = listed[i]
-        here, there = body[w, one, 0], body[w, one, 1]
-        for j in range(i + 1):
-            two = listed[j]
-            total = 0.0
+    response, matrix, number = work.response, work.matrix, work.number
+    for j in range(size):
+        column, lane = lanes_of(work.columns, j), j % WIDTH
+        for b in range(j // WIDTH, (size + WIDTH - 1) // WIDTH):
+            column[b] = 0.0
             for at in range(2):
-                other = body[w, two, at]
-                if other >= 0 and other == here:
-                    total += _couple(push, response, one, 0, two, at)
-                if other >= 0 and other == there:
-                    total += _couple(push, response, one, 1, two, at)
-            matrix[i, j] = total
-        matrix[i, i] *= 1.0 + REGULARISATION
+                other = 2 * (j // WIDTH) + at
+                body = number[other, 0, lane]
+                for end in range(2):
+                    is_same = lanes_of(number, 2 * b + end)[0] == body
+                    if body >= 0.0 and is_any(is_same):
+                        both = _couple(lanes_of(work.push, 2 * b + end), response, other, lane)
+                        column[b] = where(is_same, column[b] + both, column[b])
+        matrix[j, j] *= 1.0 + REGULARISATION
         # Neither end of the cable moves
-        if matrix[i, i] <= 0.0:
-            work.pulls[one] = False
-        work.acts[i] = work.pulls[one]
+        if matrix[j, j] <= 0.0:
+            work.pulls[j] = False
+        work.acts[j] = work.listed[j] and work.pulls[j]
 
 
 @kernel
@@ -189,7 +256,7 @@ def _factorise(work: Any, size: int) -> None:
             factor[i, i] = 1.0
             continue
         for j in range(i):
-            total = matrix[i, j] if acts[j] else 0.0
+            total = matrix[j, i] if acts[j] else 0.0
             for k in range(j):
                 total -= factor[i, k] * factor[j, k]
             factor[i, j] = total * factor[j, j]
@@ -205,7 +272,7 @@ def _substitute(work: Any, size: int) -> None:
     """Solve the factorised system; the results of cables that do not pull are 0."""
     factor, found, wanted, acts = work.factor, work.found, work.wanted, work.acts
     for i in range(size):
-        total = wanted[i] if acts[i] else 0.0
+        total = wanted[i // WIDTH, i % WIDTH] if acts[i] else 0.0
         for k in range(i):
             total -= factor[i, k] * found[k]
         found[i] = total * factor[i, i]
@@ -220,9 +287,9 @@ def _substitute(work: Any, size: int) -> None:
 @func
 def _compute_residual(work: Any, size: int, i: int) -> float:
     """Return row i of matrix times solution minus right-hand side."""
-    total = -work.wanted[i]
+    total = -work.wanted[i // WIDTH, i % WIDTH]
     for k in range(size):
-        total += work.matrix[max(i, k), min(i, k)] * work.found[k]
+        total += work.matrix[min(i, k), max(i, k)] * work.found[k]
     return float(total)
 
 
@@ -235,7 +302,8 @@ def _flip_wrong_signs(work: Any, size: int, only_first: bool) -> bool:
             wrong = work.found[i] < 0.0
         else:
             # A fixed cable cannot change its distance
-            wrong = work.matrix[i, i] > 0.0 and _compute_residual(work, size, i) < 0.0
+            can_act = work.listed[i] and work.matrix[i, i] > 0.0
+            wrong = can_act and _compute_residual(work, size, i) < 0.0
         if wrong and not (only_first and any_wrong):
             work.acts[i] = not work.acts[i]
             any_wrong = True
@@ -254,63 +322,71 @@ def _solve_complementarity(work: Any, size: int) -> None:
             is_solved = not _flip_wrong_signs(work, size, trial >= MAX_BLOCK_PIVOTS)
     for i in range(size):
         work.found[i] = max(work.found[i], 0.0)
-        work.pulls[work.listed[i]] = work.acts[i]
+        if work.listed[i]:
+            work.pulls[i] = work.acts[i]
 
 
 @func
-def _accelerate(cables: Any, moved: Any, w: int, size: int) -> None:
+def _accelerate(cables: Any, moved: np.ndarray, w: int, g: int, size: int) -> None:
     """Add the responses to the solution to the velocities and rates of `moved`."""
-    work, bodies, velocity, rates = cables.work, cables.body, moved.velocity, moved.rates
-    listed, found, response = work.listed, work.found, work.response
+    work, first = cables.work, cables.first_cable[w, g]
     for i in range(size):
-        c, tension = listed[i], found[i]
-        for end in range(2):
-            body = bodies[w, c, end]
-            if body >= 0:
-                for k in range(3):
-                    velocity[0, body, k] += tension * response[c, end, k]
-                    rates[0, body, k] += tension * response[c, end, 3 + k]
+        if work.acts[i]:
+            c, tension = cables.cable[w, first + i], work.found[i]
+            for end in range(2):
+                body, row = cables.body[w, c, end], 2 * (i // WIDTH) + end
+                if body >= 0:
+                    b, lane = body // WIDTH, body % WIDTH
+                    for k in range(6):
+                        change = tension * work.response[row, k, i % WIDTH]
+                        moved[b, VELOCITY + k, lane] += change
+
+
+@func
+def _list_taut(cables: Any, w: int, g: int, size: int) -> bool:
+    """List the taut cables of a group; return True if there is one."""
+    work, any_taut = cables.work, False
+    for s in range(size):
+        work.listed[s] = cables.is_taut[w, cables.cable[w, cables.first_cable[w, g] + s]]
+        any_taut = any_taut or work.listed[s]
+    return any_taut
 
 
 @kernel
-def add_tensions(cables: Any, parameters: np.ndarray, w: int, g: int, weight: float) -> None:
+def add_tensions(cables: Any, w: int, g: int, weight: float) -> None:
     """Add the accelerations by the tensions of a group's taut cables to the slopes of its bodies.
 
     Args:
         cables: `Cables`, with the state and the slopes of the bodies in `work`.
-        parameters: (W, N) rows of `PARAMETERS`.
         w: Index of the world.
         g: Index of the group.
         weight: Time by which the tensions are multiplied in `work.pull`, s.
     """
-    work = cables.work
-    size = 0
-    for m in range(cables.first_cable[w, g], cables.first_cable[w, g + 1]):
-        c = cables.cable[w, m]
-        if not cables.is_taut[w, c]:
-            continue
-        measure_cable(cables, parameters, w, c)
-        wanted, push = work.bend[c], work.push
-        for end in range(2):
-            body = cables.body[w, c, end]
-            if body >= 0:
-                pull, spinning = vec3(work.slope.velocity, 0, body), vec3(work.slope.rates, 0, body)
-                for k in range(3):
-                    wanted -= push[c, end, k] * pull[k]
-                    wanted -= push[c, end, 3 + k] * spinning[k]
-        work.listed[size], work.wanted[size] = c, wanted
-        size += 1
-    if size == 0:
+    work, size = cables.work, num_cables(cables, w, g)
+    if not _list_taut(cables, w, g, size):
         return
-    _fill_matrix(cables, w, size)
+    measure_cables(work, size)
+    right = lanes_of(work.wanted, 0)
+    for b in range((size + WIDTH - 1) // WIDTH):
+        wanted = lanes_of(work.measured, b)[2]
+        for end in range(2 * b, 2 * b + 2):
+            push = lanes_of(work.push, end)
+            pull = _three_at(work.slope, work, end, VELOCITY)
+            spinning = _three_at(work.slope, work, end, RATES)
+            for k in range(3):
+                wanted -= push[k] * pull[k]
+                wanted -= push[3 + k] * spinning[k]
+        right[b] = wanted
+    _fill_matrix(work, size)
     _solve_complementarity(work, size)
-    for i in range(size):
-        work.pull[work.listed[i]] += weight * work.found[i]
-    _accelerate(cables, work.slope, w, size)
+    for s in range(size):
+        if work.acts[s]:
+            work.pull[s] += weight * work.found[s]
+    _accelerate(cables, work.slope, w, g, size)
 
 
 @kernel
-def apply_impulses(cables: Any, parameters: np.ndarray, w: int, g: int) -> None:
+def apply_impulses(cables: Any, w: int, g: int) -> None:
     """Stop the growth of the distances of a group's taut cables by impulses, without rebound.
 
     The kinetic energy does not grow: the impulses are the projection of the velocities onto those
@@ -319,44 +395,46 @@ def apply_impulses(cables: Any, parameters: np.ndarray, w: int, g: int) -> None:
     Args:
         cables: `Cables`; the velocities and rates in `work.now` are changed, and the impulses are
             added to `work.pull`.
-        parameters: (W, N) rows of `PARAMETERS`.
         w: Index of the world.
         g: Index of the group.
     """
-    work = cables.work
-    size = 0
-    for m in range(cables.first_cable[w, g], cables.first_cable[w, g + 1]):
-        c = cables.cable[w, m]
-        if cables.is_taut[w, c]:
-            measure_cable(cables, parameters, w, c)
-            work.listed[size], work.wanted[size] = c, work.rate[c]
-            size += 1
-    if size == 0:
+    work, size = cables.work, num_cables(cables, w, g)
+    if not _list_taut(cables, w, g, size):
         return
-    _fill_matrix(cables, w, size)
+    measure_cables(work, size)
+    _set_rates(work, size)
+    _fill_matrix(work, size)
     _solve_complementarity(work, size)
-    for i in range(size):
-        work.pull[work.listed[i]] += work.found[i]
-    _accelerate(cables, work.now, w, size)
+    for s in range(size):
+        if work.acts[s]:
+            work.pull[s] += work.found[s]
+    _accelerate(cables, work.now, w, g, size)
 
 
 @func
-def _shift_body(now: Any, body: int, size: float, response: np.ndarray) -> None:
+def _set_rates(work: Any, size: int) -> None:
+    """Set the right-hand side to the rates of the distances."""
+    right = lanes_of(work.wanted, 0)
+    for b in range((size + WIDTH - 1) // WIDTH):
+        right[b] = lanes_of(work.measured, b)[1]
+
+
+@func
+def _shift_body(now: np.ndarray, body: int, size: float, response: np.ndarray) -> None:
     """Move and turn a body by a correction along a response."""
-    x, y, z, w = quat4(now.quaternion, 0, body)
+    b, lane = body // WIDTH, body % WIDTH
+    x, y, z = now[b, QUATERNION, lane], now[b, QUATERNION + 1, lane], now[b, QUATERNION + 2, lane]
     half = 0.5 * size
     turn = (half * response[3], half * response[4], half * response[5], 1.0)
-    turned = normalise_quaternion(product((x, y, z, w), turn))
+    turned = normalise_quaternion(product((x, y, z, now[b, QUATERNION + 3, lane]), turn))
     for k in range(3):
-        now.position[0, body, k] += size * response[k]
+        now[b, POSITION + k, lane] += size * response[k]
     for k in range(4):
-        now.quaternion[0, body, k] = turned[k]
+        now[b, QUATERNION + k, lane] = turned[k]
 
 
 @kernel
-def correct_lengths(
-    cables: Any, parameters: np.ndarray, w: int, g: int, is_drift: bool, max_iterations: int
-) -> None:
+def correct_lengths(cables: Any, w: int, g: int, is_drift: bool, max_iterations: int) -> None:
     """Correct the lengths of a group's taut cables that pull.
 
     The corrections of positions are Newton's, weighted by the masses: the centre of mass of free
@@ -364,40 +442,39 @@ def correct_lengths(
 
     Args:
         cables: `Cables`; the state in `work.now` is changed.
-        parameters: (W, N) rows of `PARAMETERS`.
         w: Index of the world.
         g: Index of the group.
         is_drift: True if the errors are those of integration: the cables were measured, and their
             rates are corrected, too.
         max_iterations: Maximum number of corrections.
     """
-    work = cables.work
+    work, size, first = cables.work, num_cables(cables, w, g), cables.first_cable[w, g]
     for k in range(max_iterations):
-        size, worst = 0, 0.0
-        for m in range(cables.first_cable[w, g], cables.first_cable[w, g + 1]):
-            c = cables.cable[w, m]
-            if cables.is_taut[w, c] and work.pulls[c]:
-                if k > 0 or not is_drift:
-                    measure_cable(cables, parameters, w, c)
-                excess = work.reach[c] - cables.length[w, c]
-                worst = max(worst, abs(excess))
-                work.listed[size], work.wanted[size] = c, excess
-                size += 1
-        if size == 0:
+        if k > 0 or not is_drift:
+            measure_cables(work, size)
+        worst, any_listed = 0.0, False
+        for s in range(size):
+            work.listed[s] = cables.is_taut[w, cables.cable[w, first + s]] and work.pulls[s]
+            if work.listed[s]:
+                excess = get_excess(cables, w, g, s)
+                work.wanted[s // WIDTH, s % WIDTH] = excess
+                worst, any_listed = max(worst, abs(excess)), True
+        if not any_listed:
             return
-        _fill_matrix(cables, w, size)
+        _fill_matrix(work, size)
         _factorise(work, size)
         _substitute(work, size)
-        for i in range(size):
-            c = work.listed[i]
+        for s in range(size):
+            c, lane = cables.cable[w, first + s], s % WIDTH
             for end in range(2):
                 body = cables.body[w, c, end]
-                if body >= 0:
-                    _shift_body(work.now, body, work.found[i], work.response[c, end])
-            work.wanted[i] = work.rate[c]
+                if body >= 0 and work.acts[s]:
+                    response = work.response[2 * (s // WIDTH) + end, :, lane]
+                    _shift_body(work.now, body, work.found[s], response)
         # Newton's method converges quadratically, and the directions of the cables hardly change
         if worst <= SMALL:
             if is_drift:
+                _set_rates(work, size)
                 _substitute(work, size)
-                _accelerate(cables, work.now, w, size)
+                _accelerate(cables, work.now, w, g, size)
             return

@@ -16,7 +16,7 @@ import numpy as np
 from numba import types
 
 from bulletuav.compiled.deferred import deferred
-from bulletuav.compiled.gather import four, three
+from bulletuav.compiled.gather import four, gathered
 from bulletuav.compiled.kernel import func, kernel
 from bulletuav.compiled.lanes import WIDTH, lanes_of, lanes_row
 from bulletuav.contact.contact_state import stays_asleep
@@ -28,17 +28,13 @@ from bulletuav.dynamics.tensions import (
     add_tensions,
     apply_impulses,
     correct_lengths,
-    measure_cable,
+    get_excess,
+    get_rate,
+    measure_cables,
+    num_cables,
+    pack_cables,
 )
-from bulletuav.geometry.rotation import (
-    Vec3,
-    dot,
-    minus,
-    normalise_quaternion,
-    plus,
-    quat4,
-    vec3,
-)
+from bulletuav.geometry.rotation import Vec3, dot, minus, normalise_quaternion, plus, vec3
 from bulletuav.vehicle.aerodynamics import num_lifted_rotors
 from bulletuav.vehicle.rotors import Rotors
 from bulletuav.vehicle.swarm import State, get_state, set_state
@@ -59,23 +55,59 @@ MAX_CORRECTIONS = 20
 """Maximum number of corrections of lengths after a contact"""
 MAX_DRIFT = 1e-3
 """Rate of the distance up to which a taut cable's rate is a rounding error, m/s"""
-STILL: State = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
-"""Slope of a body that does not move"""
 
 
 @func
-def _store_rotors(numbers: np.ndarray, rotors: Rotors) -> None:
-    """Write the numbers of `Rotors` to an array (6,)."""
-    thrust, torque, total, momentum = rotors
-    numbers[0], numbers[4], numbers[5] = thrust, total, momentum
+def _read_state(array: np.ndarray, i: int) -> State:
+    """Return the state of body i in an array such as `CableWork.now`."""
+    b, lane = i // WIDTH, i % WIDTH
+    return (
+        (array[b, 0, lane], array[b, 1, lane], array[b, 2, lane]),
+        (array[b, 9, lane], array[b, 10, lane], array[b, 11, lane], array[b, 12, lane]),
+        (array[b, 3, lane], array[b, 4, lane], array[b, 5, lane]),
+        (array[b, 6, lane], array[b, 7, lane], array[b, 8, lane]),
+    )
+
+
+@func
+def _write_state(array: np.ndarray, i: int, state: State) -> None:
+    """Set the state of body i, in the form of `_read_state`."""
+    b, lane = i // WIDTH, i % WIDTH
+    position, quaternion, velocity, rates = state
     for k in range(3):
-        numbers[1 + k] = torque[k]
+        array[b, k, lane] = position[k]
+        array[b, 3 + k, lane] = velocity[k]
+        array[b, 6 + k, lane] = rates[k]
+    for k in range(4):
+        array[b, 9 + k, lane] = quaternion[k]
 
 
 @func
-def _load_rotors(numbers: np.ndarray) -> Rotors:
-    """Return the `Rotors` of an array (6,)."""
-    return numbers[0], (numbers[1], numbers[2], numbers[3]), numbers[4], numbers[5]
+def _read_block(array: np.ndarray, b: int) -> Any:
+    """Return the states of block b in an array such as `CableWork.now`, as lanes."""
+    one = lanes_of(array, b)
+    position, velocity = (one[0], one[1], one[2]), (one[3], one[4], one[5])
+    return position, (one[9], one[10], one[11], one[12]), velocity, (one[6], one[7], one[8])
+
+
+@func
+def _write_block(array: np.ndarray, b: int, state: Any) -> None:
+    """Set the states of block b, in the form of `_read_block`."""
+    one = lanes_of(array, b)
+    position, quaternion, velocity, rates = state
+    for k in range(3):
+        one[k] = position[k]
+        one[3 + k] = velocity[k]
+        one[6 + k] = rates[k]
+    for k in range(4):
+        one[9 + k] = quaternion[k]
+
+
+@func
+def _read_rotors(numbers: np.ndarray, row: int, lane: int) -> Rotors:
+    """Return the `Rotors` of one drone in an array such as `CableWork.rotors`."""
+    torque = (numbers[row, 1, lane], numbers[row, 2, lane], numbers[row, 3, lane])
+    return numbers[row, 0, lane], torque, numbers[row, 4, lane], numbers[row, 5, lane]
 
 
 @func
@@ -84,44 +116,26 @@ def _slope(flight: Any, w: int, i: int, first: int, stage: int) -> State:
     decision, blocks, cables = flight
     work, row = cables.work, decision.drones.parameters[w, i]
     around = surroundings(decision.air, w, i, blocks.wakes.felt[w - first])
-    state, rotors = get_state(work.now, 0, i), _load_rotors(work.rotors[i, stage])
-    return slope_of(state, work.speed[i, stage], rotors, around, work.lifted[i], row)
+    index, lane = 3 * (i // WIDTH) + stage, i % WIDTH
+    rotors = _read_rotors(work.rotors, index, lane)
+    speed = work.speed[index, :, lane]
+    return slope_of(_read_state(work.now, i), speed, rotors, around, work.lifted[i], row)
 
 
 @kernel
-def _set_block_slopes(flight: Any, w: int, b: int, stage: int) -> None:
+def _set_block_slopes(flight: Any, b: int, stage: int) -> None:
     """Write the slopes of the drones of a block without cables, computed in SIMD lanes."""
     _, blocks, cables = flight
     work, first = cables.work, b * WIDTH
-    held, numbers = lanes_of(blocks.held, b), lanes_of(work.lane_rotors, 3 * b + stage)
+    held, numbers = lanes_of(blocks.held, b), lanes_of(work.rotors, 3 * b + stage)
     rotors = (numbers[0], (numbers[1], numbers[2], numbers[3]), numbers[4], numbers[5])
-    state = (
-        three(work.now.position, first),
-        four(work.now.quaternion, first),
-        three(work.now.velocity, first),
-        three(work.now.rates, first),
-    )
     wind, force = (held[0], held[1], held[2]), (held[4], held[5], held[6])
     torque, wake = (held[7], held[8], held[9]), four(blocks.wakes.felt, first)
     around = make_surroundings(wind, held[3], held[11], force, torque, wake)
     row = lanes_row(blocks.rows, blocks.packed, b)
-    speed = lanes_of(work.lane_speed, 3 * b + stage)
-    moving, turning, pull, spinning = slope_of(state, speed, rotors, around, work.lane_lift[b], row)
-    slope = lanes_of(work.lane_slope, 0)
-    for k in range(3):
-        slope[k], slope[7 + k], slope[10 + k] = moving[k], pull[k], spinning[k]
-    for k in range(4):
-        slope[3 + k] = turning[k]
-    one = work.lane_slope
-    for lane in range(min(WIDTH, work.in_block.shape[0] - first)):
-        i = first + lane
-        if work.in_block[i]:
-            for k in range(3):
-                work.slope.position[0, i, k] = one[k, lane]
-                work.slope.velocity[0, i, k] = one[7 + k, lane]
-                work.slope.rates[0, i, k] = one[10 + k, lane]
-            for k in range(4):
-                work.slope.quaternion[0, i, k] = one[3 + k, lane]
+    speed = lanes_of(work.speed, 3 * b + stage)
+    slope = slope_of(_read_block(work.now, b), speed, rotors, around, work.lift[b], row)
+    _write_block(work.slope, b, slope)
 
 
 @kernel
@@ -131,39 +145,42 @@ def _choose_blocks(flight: Any, w: int, g: int) -> None:
     The numbers of blocks count the drones of all worlds: with one world, those of the group, too.
     """
     decision, blocks, cables = flight
-    work = cables.work
+    work, parameters = cables.work, decision.drones.parameters
     is_alone = decision.drones.alive.shape[0] > 1
     for b in range(work.is_block.shape[0]):
-        count, lifted = 0, 0
+        count, lifted, is_used = 0, 0, False
         for i in range(b * WIDTH, min((b + 1) * WIDTH, work.in_block.shape[0])):
             work.in_block[i] = False
         for m in range(cables.first_member[w, g], cables.first_member[w, g + 1]):
             i = cables.member[w, m]
-            if i // WIDTH == b and not work.is_fixed[i]:
+            is_used = is_used or i // WIDTH == b
+            flies = parameters[w, i].num_rotors > 0 and not work.is_fixed[i]
+            if i // WIDTH == b and flies:
                 count += 1
                 lifted = max(lifted, work.lifted[i])
-        work.lane_lift[b] = lifted
+                work.in_block[i] = True
+        work.lift[b], work.is_used[b] = lifted, is_used
         work.is_block[b] = count >= FEWEST and blocks.alike[b] and not is_alone
-        if work.is_block[b]:
-            for m in range(cables.first_member[w, g], cables.first_member[w, g + 1]):
-                i = cables.member[w, m]
-                work.in_block[i] = work.in_block[i] or (i // WIDTH == b and not work.is_fixed[i])
+        if not work.is_block[b]:
+            for i in range(b * WIDTH, min((b + 1) * WIDTH, work.in_block.shape[0])):
+                work.in_block[i] = False
 
 
 @kernel
 def _set_slopes(flight: Any, w: int, g: int, first: int, stage: int, weight: float) -> None:
     """Write the slopes of a group's bodies at their state in `work.now`, with all forces."""
-    decision, _, cables = flight
-    work = cables.work
+    work, cables = flight[2].work, flight[2]
     for b in range(work.is_block.shape[0]):
         if work.is_block[b]:
-            _set_block_slopes(flight, w, b, stage)
+            _set_block_slopes(flight, b, stage)
+    still = (0.0, 0.0, 0.0)
     for m in range(cables.first_member[w, g], cables.first_member[w, g + 1]):
         i = cables.member[w, m]
-        if not work.in_block[i]:
-            slope = STILL if work.is_fixed[i] else _slope(flight, w, i, first, stage)
-            set_state(work.slope, 0, i, slope)
-    add_tensions(cables, decision.drones.parameters, w, g, weight)
+        if work.is_fixed[i]:
+            _write_state(work.slope, i, (still, (0.0, 0.0, 0.0, 0.0), still, still))
+        elif not work.in_block[i]:
+            _write_state(work.slope, i, _slope(flight, w, i, first, stage))
+    add_tensions(cables, w, g, weight)
 
 
 @kernel
@@ -171,7 +188,7 @@ def _load_group(cables: Any, swarm: Any, w: int, g: int) -> None:
     """Copy the state of a group's bodies to `work.now`."""
     for m in range(cables.first_member[w, g], cables.first_member[w, g + 1]):
         i = cables.member[w, m]
-        set_state(cables.work.now, 0, i, get_state(swarm, w, i))
+        _write_state(cables.work.now, i, get_state(swarm, w, i))
 
 
 @kernel
@@ -180,47 +197,50 @@ def _store_group(cables: Any, swarm: Any, w: int, g: int) -> None:
     for m in range(cables.first_member[w, g], cables.first_member[w, g + 1]):
         i = cables.member[w, m]
         if not cables.work.is_fixed[i]:
-            set_state(swarm, w, i, get_state(cables.work.now, 0, i))
+            set_state(swarm, w, i, _read_state(cables.work.now, i))
 
 
 @kernel
 def _step_group(flight: Any, w: int, g: int, first: int, dt: float) -> None:
-    """Write the state of a group after a step of RK4 into `work.now`; the swarm is unchanged."""
-    decision, _, cables = flight
-    work, swarm = cables.work, decision.drones.swarm
-    begin, end = cables.first_member[w, g], cables.first_member[w, g + 1]
-    for m in range(cables.first_cable[w, g], cables.first_cable[w, g + 1]):
-        work.pull[cables.cable[w, m]] = 0.0
-    _load_group(cables, swarm, w, g)
+    """Advance the state of a group in `work.now` by a step of RK4; the swarm is unchanged."""
+    cables = flight[2]
+    work = cables.work
+    for s in range(num_cables(cables, w, g)):
+        work.pull[s] = 0.0
+    for b in range(work.is_used.shape[0]):
+        if work.is_used[b]:
+            _write_block(work.begun, b, _read_block(work.now, b))
     # Stages at the begin, twice in the middle, and at the end: k1 + 2 k2 + 2 k3 + k4
     for k in range(4):
         share = 1.0 if k in (0, 3) else 2.0
         _set_slopes(flight, w, g, first, (k + 1) // 2, share * dt / 6.0)
         ahead = dt if k == 2 else 0.5 * dt
-        for m in range(begin, end):
-            i = cables.member[w, m]
-            slope = get_state(work.slope, 0, i)
-            total = slope if k == 0 else advance_state(get_state(work.total, 0, i), share, slope)
-            set_state(work.total, 0, i, total)
-            if k < 3:
-                set_state(work.now, 0, i, advance_state(get_state(swarm, w, i), ahead, slope))
-    for m in range(begin, end):
-        i = cables.member[w, m]
-        state = advance_state(get_state(swarm, w, i), dt / 6.0, get_state(work.total, 0, i))
-        position, quaternion, velocity, rates = state
-        set_state(work.now, 0, i, (position, normalise_quaternion(quaternion), velocity, rates))
+        for b in range(work.is_used.shape[0]):
+            if work.is_used[b]:
+                begun, slope = _read_block(work.begun, b), _read_block(work.slope, b)
+                total = slope
+                if k > 0:
+                    total = advance_state(_read_block(work.total, b), share, slope)
+                if k < 3:
+                    _write_block(work.total, b, total)
+                    _write_block(work.now, b, advance_state(begun, ahead, slope))
+                else:
+                    position, quaternion, velocity, rates = advance_state(begun, dt / 6.0, total)
+                    state = (position, normalise_quaternion(quaternion), velocity, rates)
+                    _write_block(work.now, b, state)
 
 
 @func
-def _measure_excess(flight: Any, w: int, g: int) -> float:
+def _measure_excess(cables: Any, w: int, g: int) -> float:
     """Return the largest distance of the ends of a group's slack cables beyond its length, m."""
-    decision, _, cables = flight
-    excess = -np.inf
-    for m in range(cables.first_cable[w, g], cables.first_cable[w, g + 1]):
-        c = cables.cable[w, m]
-        if not cables.is_taut[w, c]:
-            measure_cable(cables, decision.drones.parameters, w, c)
-            excess = max(excess, cables.work.reach[c] - cables.length[w, c])
+    excess, size, first = -np.inf, num_cables(cables, w, g), cables.first_cable[w, g]
+    is_measured = False
+    for s in range(size):
+        if not cables.is_taut[w, cables.cable[w, first + s]]:
+            if not is_measured:
+                measure_cables(cables.work, size)
+                is_measured = True
+            excess = max(excess, get_excess(cables, w, g, s))
     return excess
 
 
@@ -239,17 +259,19 @@ def _find_event(flight: Any, w: int, g: int, first: int, dt: float, excess: floa
     Returns:
         Time after the beginning of the step, s; `work.now` has the state at that time.
     """
-    low, high, before, after = 0.0, dt, 0.0, excess
-    _load_group(flight[2], flight[0].drones.swarm, w, g)
-    before = min(_measure_excess(flight, w, g), -LENGTH_TOLERANCE * LENGTH_TOLERANCE)
+    decision, _, cables = flight
+    low, high, after = 0.0, dt, excess
+    _load_group(cables, decision.drones.swarm, w, g)
+    before = min(_measure_excess(cables, w, g), -LENGTH_TOLERANCE * LENGTH_TOLERANCE)
     time = dt
     for k in range(MAX_BISECTIONS):
         # Regula falsi; bisection now and then, where one end would stay
         time = low - before * (high - low) / (after - before)
         if k % 3 == 2:
             time = 0.5 * (low + high)
+        _load_group(cables, decision.drones.swarm, w, g)
         _step_group(flight, w, g, first, time)
-        found = _measure_excess(flight, w, g)
+        found = _measure_excess(cables, w, g)
         if abs(found) <= 0.5 * LENGTH_TOLERANCE:
             break
         if found > 0.0:
@@ -263,51 +285,61 @@ def _find_event(flight: Any, w: int, g: int, first: int, dt: float, excess: floa
 def _tighten(flight: Any, contact: Any, w: int, g: int) -> None:
     """Make cables of a group taut whose ends part at its length, and stop that by impulses."""
     decision, _, cables = flight
-    work, parameters = cables.work, decision.drones.parameters
-    any_new = False
-    for m in range(cables.first_cable[w, g], cables.first_cable[w, g + 1]):
-        c = cables.cable[w, m]
-        if cables.is_taut[w, c]:
-            continue
-        measure_cable(cables, parameters, w, c)
+    work, size, first = cables.work, num_cables(cables, w, g), cables.first_cable[w, g]
+    any_slack = any_new = any_woken = False
+    for s in range(size):
+        any_slack = any_slack or not cables.is_taut[w, cables.cable[w, first + s]]
+    if not any_slack:
+        return
+    measure_cables(work, size)
+    for s in range(size):
+        c = cables.cable[w, first + s]
         # Ends at rest relative to each other may be about to part
-        parts = work.rate[c] > -MIN_RATE
-        if parts and work.reach[c] >= cables.length[w, c] - LENGTH_TOLERANCE:
-            cables.is_taut[w, c] = work.pulls[c] = any_new = True
+        parts = get_rate(work, s) > -MIN_RATE
+        is_long = get_excess(cables, w, g, s) >= -LENGTH_TOLERANCE
+        if parts and is_long and not cables.is_taut[w, c]:
+            cables.is_taut[w, c] = work.pulls[s] = any_new = True
             for end in range(2):
                 body = cables.body[w, c, end]
                 if body >= 0 and contact.asleep[w, body]:
                     rouse(contact, w, body)
                     work.is_fixed[body] = contact.stopped[w, body]
+                    any_woken = True
+    if any_woken:
+        pack_cables(cables, decision.drones.parameters, w, g)
+        _choose_blocks(flight, w, g)
     if any_new:
-        apply_impulses(cables, parameters, w, g)
+        apply_impulses(cables, w, g)
 
 
 @kernel
 def _finish_step(flight: Any, contact: Any, w: int, g: int) -> None:
     """Correct lengths and rates after a step, and find the cables that become slack or taut."""
-    decision, _, cables = flight
-    work, parameters = cables.work, decision.drones.parameters
-    for m in range(cables.first_cable[w, g], cables.first_cable[w, g + 1]):
-        c = cables.cable[w, m]
-        if not cables.is_taut[w, c]:
-            continue
-        measure_cable(cables, parameters, w, c)
-        long = work.reach[c] > cables.length[w, c]
-        # Without tension, or with ends that approach each other, the cable is slack
-        stays = work.pulls[c] and work.rate[c] > -MAX_DRIFT
-        cables.is_taut[w, c] = work.pulls[c] = stays or (long and work.rate[c] > 0.0)
-    correct_lengths(cables, parameters, w, g, True, MAX_CORRECTIONS)
+    cables = flight[2]
+    work, size, first = cables.work, num_cables(cables, w, g), cables.first_cable[w, g]
+    any_taut = False
+    for s in range(size):
+        c = cables.cable[w, first + s]
+        if cables.is_taut[w, c]:
+            if not any_taut:
+                measure_cables(work, size)
+                any_taut = True
+            rate, is_long = get_rate(work, s), get_excess(cables, w, g, s) > 0.0
+            # Without tension, or with ends that approach each other, the cable is slack
+            stays = work.pulls[s] and rate > -MAX_DRIFT
+            cables.is_taut[w, c] = work.pulls[s] = stays or (is_long and rate > 0.0)
+    if any_taut:
+        correct_lengths(cables, w, g, True, MAX_CORRECTIONS)
     _tighten(flight, contact, w, g)
 
 
 @func
 def _record_tension(cables: Any, w: int, g: int, dt: float) -> None:
     """Add the impulses of a step to the mean tensions of a substep of `dt`, s."""
-    for m in range(cables.first_cable[w, g], cables.first_cable[w, g + 1]):
-        c = cables.cable[w, m]
-        cables.tension[w, c] += max(cables.work.pull[c], 0.0) / dt
-        cables.work.pull[c] = 0.0
+    for s in range(num_cables(cables, w, g)):
+        c = cables.cable[w, cables.first_cable[w, g] + s]
+        cables.tension[w, c] += max(cables.work.pull[s], 0.0) / dt
+        cables.work.pull[s] = 0.0
 
 
 @kernel
@@ -316,23 +348,25 @@ def _advance_group(flight: Any, contact: Any, w: int, g: int, first: int, dt: fl
     decision, _, cables = flight
     swarm, substep = decision.drones.swarm, decision.step.dt
     left = dt
-    for m in range(cables.first_cable[w, g], cables.first_cable[w, g + 1]):
-        c = cables.cable[w, m]
-        cables.work.pulls[c] = cables.is_taut[w, c]
-        cables.work.pull[c] = 0.0
+    for s in range(num_cables(cables, w, g)):
+        c = cables.cable[w, cables.first_cable[w, g] + s]
+        cables.work.pulls[s] = cables.is_taut[w, c]
+        cables.work.pull[s] = 0.0
     _load_group(cables, swarm, w, g)
     _tighten(flight, contact, w, g)
     _record_tension(cables, w, g, substep)
     _store_group(cables, swarm, w, g)
     for event in range(MAX_EVENTS + 1):
+        if event > 0:
+            _load_group(cables, swarm, w, g)
         _step_group(flight, w, g, first, left)
-        excess = _measure_excess(flight, w, g)
+        excess = _measure_excess(cables, w, g)
         time = left
         if excess > 0.5 * LENGTH_TOLERANCE and event < MAX_EVENTS:
             time = _find_event(flight, w, g, first, left, excess)
         _finish_step(flight, contact, w, g)
         if excess > 0.5 * LENGTH_TOLERANCE and event == MAX_EVENTS:
-            correct_lengths(cables, decision.drones.parameters, w, g, False, MAX_CORRECTIONS)
+            correct_lengths(cables, w, g, False, MAX_CORRECTIONS)
         _record_tension(cables, w, g, substep)
         _store_group(cables, swarm, w, g)
         left -= time
@@ -345,13 +379,13 @@ def _sum_pulls(cables: Any, w: int, g: int, i: int) -> tuple[Vec3, Vec3]:
     """Return the force (world axes) and torque (body axes) of the tensions in `work.pull`."""
     work = cables.work
     force = torque = (0.0, 0.0, 0.0)
-    for m in range(cables.first_cable[w, g], cables.first_cable[w, g + 1]):
-        c = cables.cable[w, m]
+    for s in range(num_cables(cables, w, g)):
+        c = cables.cable[w, cables.first_cable[w, g] + s]
         for end in range(2):
             if cables.is_taut[w, c] and cables.body[w, c, end] == i:
-                push = work.push[c, end]
-                force = plus(force, work.pull[c], (push[0], push[1], push[2]))
-                torque = plus(torque, work.pull[c], (push[3], push[4], push[5]))
+                push = work.push[2 * (s // WIDTH) + end, :, s % WIDTH]
+                force = plus(force, work.pull[s], (push[0], push[1], push[2]))
+                torque = plus(torque, work.pull[s], (push[3], push[4], push[5]))
     return force, torque
 
 
@@ -361,8 +395,8 @@ def _wake_group(flight: Any, contact: Any, w: int, g: int, first: int, dt: float
     decision, _, cables = flight
     work, parameters = cables.work, decision.drones.parameters
     _load_group(cables, decision.drones.swarm, w, g)
-    for m in range(cables.first_cable[w, g], cables.first_cable[w, g + 1]):
-        work.pull[cables.cable[w, m]] = 0.0
+    for s in range(num_cables(cables, w, g)):
+        work.pull[s] = 0.0
     # The tensions on bodies that stay at rest
     _set_slopes(flight, w, g, first, 0, 1.0)
     for m in range(cables.first_member[w, g], cables.first_member[w, g + 1]):
@@ -378,12 +412,9 @@ def _wake_group(flight: Any, contact: Any, w: int, g: int, first: int, dt: float
             spinning[1] + torque[1] / row.inertia[1],
             spinning[2] + torque[2] / row.inertia[2],
         )
-        if not stays_asleep(
-            contact, w, i, quat4(work.now.quaternion, 0, i), pull, spinning, row, dt
-        ):
+        if not stays_asleep(contact, w, i, _read_state(work.now, i)[1], pull, spinning, row, dt):
             rouse(contact, w, i)
-    _fix_bodies(flight, contact, w, g)
-    _choose_blocks(flight, w, g)
+    _prepare_group(flight, contact, w, g)
 
 
 @func
@@ -396,34 +427,89 @@ def _fix_bodies(flight: Any, contact: Any, w: int, g: int) -> bool:
         stands = contact.stopped[w, i] or not decision.drones.alive[w, i]
         cables.work.is_fixed[i] = stands or contact.asleep[w, i]
         any_asleep = any_asleep or contact.asleep[w, i]
+    pack_cables(cables, decision.drones.parameters, w, g)
     return any_asleep
 
 
 @func
-def _turn_group_rotors(flight: Any, w: int, g: int, first: int) -> int:
-    """Advance the rotors of a group by a substep; return the number of steps of RK4."""
-    decision, blocks, cables = flight
-    swarm, air, dt, work = decision.drones.swarm, decision.air, decision.step.dt, cables.work
+def _prepare_group(flight: Any, contact: Any, w: int, g: int) -> bool:
+    """Find the bodies that do not move and the blocks; return True if any body sleeps."""
+    any_asleep = _fix_bodies(flight, contact, w, g)
+    _choose_blocks(flight, w, g)
+    return any_asleep
+
+
+@func
+def _count_steps(flight: Any, w: int, g: int) -> int:
+    """Find the ground effect of a group in a substep; return the number of steps of RK4."""
+    decision, _, cables = flight
+    swarm, air, dt = decision.drones.swarm, decision.air, decision.step.dt
     parts = 1
     for m in range(cables.first_member[w, g], cables.first_member[w, g + 1]):
         i = cables.member[w, m]
-        row = decision.drones.parameters[w, i]
-        speed = work.speed[i]
-        speeds = (speed[0], speed[1], speed[2])
-        motors = (air.supply[w, i], air.rotor_ratio[w, i])
-        command, decay = blocks.command[w - first, i], blocks.decay[w - first, i]
-        rotors = turn_rotors(swarm.rotor_speed[w, i], command, *motors, decay, row, speeds)
-        block, lane = i // WIDTH, i % WIDTH
-        for k in range(3):
-            _store_rotors(work.rotors[i, k], rotors[k])
-            for r in range(6):
-                work.lane_rotors[3 * block + k, r, lane] = work.rotors[i, k, r]
-            for r in range(row.num_rotors):
-                work.lane_speed[3 * block + k, r, lane] = speed[k, r]
         height = swarm.position[w, i, 2] - air.surface[w, i]
-        work.lifted[i] = num_lifted_rotors(height, swarm.velocity[w, i, 2], dt, row)
+        row = decision.drones.parameters[w, i]
+        cables.work.lifted[i] = num_lifted_rotors(height, swarm.velocity[w, i, 2], dt, row)
         parts = max(parts, num_spin_steps(vec3(swarm.rates, w, i), dt, MAX_PART_ROTATION))
     return parts
+
+
+@kernel
+def _turn_block_rotors(flight: Any, w: int, g: int, b: int) -> None:
+    """Advance the rotors of a group's drones in a block by a substep, in SIMD lanes."""
+    decision, blocks, cables = flight
+    work, swarm = cables.work, decision.drones.swarm
+    speed, command = lanes_of(blocks.rotors, 0), lanes_of(blocks.rotors, 1)
+    row = lanes_row(blocks.rows, blocks.packed, b)
+    for r in range(row.num_rotors):
+        speed[r] = gathered(swarm.rotor_speed, b * WIDTH, r)
+        command[r] = gathered(blocks.command, b * WIDTH, r)
+    speeds = (
+        lanes_of(work.speed, 3 * b),
+        lanes_of(work.speed, 3 * b + 1),
+        lanes_of(work.speed, 3 * b + 2),
+    )
+    motors = (lanes_of(blocks.held, b)[10], lanes_of(blocks.ratio, b))
+    rotors = turn_rotors(speed, command, *motors, lanes_of(blocks.lag, b), row, speeds)
+    for k in range(3):
+        thrust, torque, total, momentum = rotors[k]
+        numbers = lanes_of(work.rotors, 3 * b + k)
+        numbers[0], numbers[4], numbers[5] = thrust, total, momentum
+        numbers[1], numbers[2], numbers[3] = torque[0], torque[1], torque[2]
+    for m in range(cables.first_member[w, g], cables.first_member[w, g + 1]):
+        i = cables.member[w, m]
+        if i // WIDTH == b and work.in_block[i]:
+            for r in range(row.num_rotors):
+                swarm.rotor_speed[w, i, r] = blocks.rotors[0, r, i % WIDTH]
+
+
+@kernel
+def _turn_group_rotors(flight: Any, w: int, g: int, first: int) -> None:
+    """Advance the rotors of a group by a substep."""
+    decision, blocks, cables = flight
+    swarm, air, work = decision.drones.swarm, decision.air, cables.work
+    for b in range(work.is_block.shape[0]):
+        if work.is_block[b]:
+            _turn_block_rotors(flight, w, g, b)
+    for m in range(cables.first_member[w, g], cables.first_member[w, g + 1]):
+        i = cables.member[w, m]
+        if work.in_block[i]:
+            continue
+        index, lane = 3 * (i // WIDTH), i % WIDTH
+        speeds = (
+            work.speed[index, :, lane],
+            work.speed[index + 1, :, lane],
+            work.speed[index + 2, :, lane],
+        )
+        motors = (air.supply[w, i], air.rotor_ratio[w, i])
+        command, decay = blocks.command[w - first, i], blocks.decay[w - first, i]
+        row = decision.drones.parameters[w, i]
+        rotors = turn_rotors(swarm.rotor_speed[w, i], command, *motors, decay, row, speeds)
+        for k in range(3):
+            thrust, torque, total, momentum = rotors[k]
+            numbers = (thrust, torque[0], torque[1], torque[2], total, momentum)
+            for r in range(6):
+                work.rotors[index + k, r, lane] = numbers[r]
 
 
 @deferred(types.none)
@@ -444,9 +530,9 @@ def fly_tied(decision: Any, blocks: Any, cables: Any, contact: Any, w: int, firs
     for c in range(cables.length.shape[1]):
         cables.tension[w, c] = 0.0
     for g in range(cables.num_groups[w]):
-        parts = _turn_group_rotors(flight, w, g, first)
-        any_asleep = _fix_bodies(flight, contact, w, g)
-        _choose_blocks(flight, w, g)
+        parts = _count_steps(flight, w, g)
+        any_asleep = _prepare_group(flight, contact, w, g)
+        _turn_group_rotors(flight, w, g, first)
         if any_asleep:
             _wake_group(flight, contact, w, g, first, dt)
         for _ in range(parts):
@@ -458,7 +544,7 @@ def _spend_budgets(cables: Any, contact: Any, swarm: Any, w: int, g: int) -> Non
     """Subtract the motion of bodies by corrections from their budgets of the contact solver."""
     for m in range(cables.first_member[w, g], cables.first_member[w, g + 1]):
         i = cables.member[w, m]
-        moved = minus(vec3(cables.work.now.position, 0, i), vec3(swarm.position, w, i))
+        moved = minus(_read_state(cables.work.now, i)[0], vec3(swarm.position, w, i))
         contact.budget[w, i] -= math.sqrt(dot(moved, moved))
 
 
@@ -473,7 +559,7 @@ def hold_tied(decision: Any, cables: Any, contact: Any, w: int) -> None:
         contact: `ContactState`, whose budgets are reduced.
         w: Index of the world.
     """
-    swarm, parameters = decision.drones.swarm, decision.drones.parameters
+    swarm, work = decision.drones.swarm, cables.work
     flight = (decision, decision, cables)
     for g in range(cables.num_groups[w]):
         is_moved = False
@@ -484,19 +570,19 @@ def hold_tied(decision: Any, cables: Any, contact: Any, w: int) -> None:
             continue
         _load_group(cables, swarm, w, g)
         _fix_bodies(flight, contact, w, g)
-        is_long = False
-        for m in range(cables.first_cable[w, g], cables.first_cable[w, g + 1]):
-            c = cables.cable[w, m]
-            cables.work.pull[c] = 0.0
-            measure_cable(cables, parameters, w, c)
+        size, is_long = num_cables(cables, w, g), False
+        measure_cables(work, size)
+        for s in range(size):
+            work.pull[s] = 0.0
             # Shorter cables stay as they are
-            long = cables.work.reach[c] >= cables.length[w, c] - LENGTH_TOLERANCE
-            cables.is_taut[w, c] = cables.work.pulls[c] = long
+            long = get_excess(cables, w, g, s) >= -LENGTH_TOLERANCE
+            c = cables.cable[w, cables.first_cable[w, g] + s]
+            cables.is_taut[w, c] = work.pulls[s] = long
             is_long = is_long or long
         if not is_long:
             continue
-        correct_lengths(cables, parameters, w, g, False, MAX_CORRECTIONS)
-        apply_impulses(cables, parameters, w, g)
+        correct_lengths(cables, w, g, False, MAX_CORRECTIONS)
+        apply_impulses(cables, w, g)
         _record_tension(cables, w, g, decision.step.dt)
         _spend_budgets(cables, contact, swarm, w, g)
         _store_group(cables, swarm, w, g)

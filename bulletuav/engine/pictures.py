@@ -74,7 +74,11 @@ class PictureMaker:
     """Draws pictures of the worlds of an engine; see `Engine.pictures`."""
 
     def __init__(
-        self, scenery: Scenery, layouts: Sequence[Solids], colour: np.ndarray | None = None
+        self,
+        scenery: Scenery,
+        layouts: Sequence[Solids],
+        colour: np.ndarray | None = None,
+        is_load: np.ndarray | None = None,
     ) -> None:
         """Group the pieces of the layouts by blocks.
 
@@ -83,8 +87,9 @@ class PictureMaker:
             layouts: The city layouts.
             colour: (N + R, 3) colours of the drones and the pieces of bodies, from 0 to 255, which
                 are not shaded; None for the shaded colours of their labels.
+            is_load: (N,) bool, drones that are loads; see `make_faces`.
         """
-        self._own_colour = colour
+        self._own_colour, self._is_load = colour, is_load
         grid = scenery.city_grid
         counts = [len(solids.bounds) for solids in layouts]
         self._blocks = make_view_blocks(grid.low, grid.high, counts)
@@ -98,7 +103,7 @@ class PictureMaker:
     def _set_faces(self, scenery: Scenery) -> None:
         """Assign ids to the faces of the shapes, and choose their colours."""
         self._table = scenery.table
-        self._faces = make_faces(scenery)
+        self._faces = make_faces(scenery, self._is_load)
         self._paint_worlds()
 
     def set_look(self, world: int, look: Look) -> None:

@@ -4,6 +4,7 @@ import itertools
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -33,6 +34,36 @@ from bulletuav.geometry.view import FAR, CameraMatrices, Picture
 from bulletuav.vehicle.airframe import Airframe
 from bulletuav.vehicle.swarm import CITY, FIRST_OBSTACLE, GROUND, Contacts, Swarm
 
+
+class LoadPoses(NamedTuple):
+    """Poses of the L loads of a task in each world, whose shapes follow those of its N drones.
+
+    Attributes:
+        position: (W, L, 3) m.
+        quaternion: (W, L, 4) body to world.
+        before: (W, L, 3) positions before the last decision, m.
+        quaternion_before: (W, L, 4) attitudes before it.
+    """
+
+    position: np.ndarray
+    quaternion: np.ndarray
+    before: np.ndarray
+    quaternion_before: np.ndarray
+
+    def join(self, poses: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+        """Return positions (W, N, 3) and quaternions (W, N, 4) of drones with those of loads."""
+        return _append(poses[0], self.position), _append(poses[1], self.quaternion)
+
+    def join_before(self, poses: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+        """Return poses of drones before the last decision with those of loads."""
+        return _append(poses[0], self.before), _append(poses[1], self.quaternion_before)
+
+
+def _append(drones: np.ndarray, loads: np.ndarray) -> np.ndarray:
+    """Return an array (W, N + L, ...) of drones and loads."""
+    return np.concatenate([drones, loads], axis=1)
+
+
 PlacedShape = tuple[int, np.ndarray | None, np.ndarray | None]
 """Owner of a collision shape (as `other` in `Contacts`), position (3,) in m, quaternion (4,)"""
 
@@ -44,7 +75,11 @@ class EngineQueries(ABC):
         shape: Number of worlds W and of drones N.
         obstacle_radius: (K,) radii of the obstacles' bounding spheres, m.
         city_grid: Pieces of the city layouts, and the present layout of each world.
+        loads: Poses of the loads of a task, which rays and pictures show; None without loads, and
+            in an airspace, in which they are rows of the swarm.
     """
+
+    loads: LoadPoses | None = None
 
     def __init__(
         self,
@@ -64,6 +99,7 @@ class EngineQueries(ABC):
             compiled: False to cast rays in Bullet.
         """
         self.shape = (len(offset), len(airframes))
+        self._is_load = np.array([airframe.is_load for airframe in airframes], dtype=bool)
         self.obstacle_radius = np.array([obstacle.radius for obstacle in obstacles])
         self.city_grid = make_city_grid(layouts, len(offset))
         self._offset = offset[:, None, :]
@@ -138,7 +174,7 @@ class EngineQueries(ABC):
         world: np.ndarray,
         drones: tuple[Swarm, np.ndarray] | None = None,
     ) -> np.ndarray:
-        """Cast rays against ground, bodies, buildings and, optionally, drones.
+        """Cast rays against ground, bodies, buildings, loads and, optionally, drones.
 
         An engine with `rays="bullet"` casts them by Bullet's `rayTestBatch`, except against drones,
         whose poses in Bullet are those before its last step.
@@ -153,23 +189,46 @@ class EngineQueries(ABC):
         Returns:
             (M,) fraction of each ray before its hit, 1 without a hit.
         """
-        if self._compiled:
-            fraction = cast_scenery_rays(self._scenery, start, end, world)
-        else:
-            # Clipped to the world's tile
-            last, share = within_tile(start, end)
-            offset = self._offset[world, 0]
-            met = self._bullet.calls.rays(start + offset, last + offset, VISIBLE)
-            fraction = np.where(met < 1, met * share, 1.0)
+        fraction = self._cast_scenery_rays(start, end, world)
+        drones = self.with_loads(drones)
         if drones is not None:
             swarm, mask = drones
             cast_drone_rays(fraction, start, end, world, swarm, mask, self._scenery.table)
         return fraction
 
+    def with_loads(
+        self, drones: tuple[Swarm, np.ndarray] | None
+    ) -> tuple[Swarm, np.ndarray] | None:
+        """Return the poses of drones and the mask (W, N) of those that are seen with the loads."""
+        if self.loads is None:
+            return drones
+        worlds, count = self.loads.position.shape[:2]
+        if drones is None:
+            shape = worlds, self.shape[1] - count
+            drones = Swarm.zeros(*shape, 1), np.zeros(shape, dtype=bool)
+        swarm, mask = drones
+        both = Swarm.zeros(*self.shape, 1)
+        position, quaternion = self.loads.join((swarm.position, swarm.quaternion))
+        both = both._replace(position=position, quaternion=quaternion)
+        return both, _append(mask, np.ones((worlds, count), dtype=bool))
+
+    def _cast_scenery_rays(
+        self, start: np.ndarray, end: np.ndarray, world: np.ndarray
+    ) -> np.ndarray:
+        """Cast rays against ground, bodies and buildings; see `cast_rays`."""
+        if self._compiled:
+            return cast_scenery_rays(self._scenery, start, end, world)
+        # Clipped to the world's tile
+        last, share = within_tile(start, end)
+        offset = self._offset[world, 0]
+        met = self._bullet.calls.rays(start + offset, last + offset, VISIBLE)
+        fraction: np.ndarray = np.where(met < 1, met * share, 1.0)
+        return fraction
+
     @cached_property
     def _picture_maker(self) -> PictureMaker:
         """Rasteriser of the worlds, made when the first pictures are taken."""
-        return PictureMaker(self._scenery, self._layouts)
+        return PictureMaker(self._scenery, self._layouts, is_load=self._is_load)
 
     def pictures(
         self,
@@ -190,8 +249,11 @@ class EngineQueries(ABC):
                 shapes.
             earlier: Poses from which flow is measured; None for the present ones.
         """
+        drones = self.with_loads(drones)
         if drones is None:
             drones = Swarm.zeros(*self.shape, 1), np.zeros(self.shape, dtype=bool)
+        if earlier is not None and self.loads is not None:
+            earlier = earlier._replace(drones=self.loads.join_before(earlier.drones))
         self._picture_maker.draw(self._scenery, cameras, images, *drones, earlier)
 
     def set_look(self, world: int, look: Look) -> None:
@@ -218,7 +280,8 @@ class EngineQueries(ABC):
         count = cover(position, mask, self._scenery, surface)
         if count:
             drone, start, end = vertical_rays(position, surface, count)
-            write_surface(surface, drone, start, self.cast_rays(start, end, drone[:, 0]))
+            fraction = self._cast_scenery_rays(start, end, drone[:, 0])
+            write_surface(surface, drone, start, fraction)
         return surface
 
     def separation(self, world: int, one: PlacedShape, two: PlacedShape, within: float) -> float:

@@ -79,6 +79,13 @@ def list_ends(cables: Cables, swarm: Swarm, world: int = 0) -> np.ndarray:
     return np.array(lines).reshape(-1, 2, 3)
 
 
+def list_all_ends(cables: Cables, swarm: Swarm, world: int = 0) -> np.ndarray:
+    """Return the ends (C, 2, 3) of all entries of a world, m; NaN for those without a cable."""
+    ends = np.full((*cables.body.shape[1:], 3), np.nan)
+    ends[cables.body[world, :, 0] != FREE] = list_ends(cables, swarm, world)
+    return ends
+
+
 def measure_reach(swarm: Swarm, ends: Ends) -> float:
     """Return the distance of two ends in the first world, m."""
     here, there = place_ends(swarm, ends)

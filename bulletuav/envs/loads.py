@@ -7,6 +7,7 @@ from bulletuav.compiled.program import Program
 from bulletuav.control.setpoint import Setpoints
 from bulletuav.dynamics.base import Dynamics
 from bulletuav.dynamics.cables import FREE, group_bodies, with_entries
+from bulletuav.engine.queries import LoadPoses
 from bulletuav.envs.state import State
 from bulletuav.tasks.parts.loads import (
     ATTACHED,
@@ -65,6 +66,8 @@ class LoadFlight:
         self._wind = np.zeros((*shape, 3))
         memory = state.scene.memory
         self._parts = tuple(memory[name] for name in (POSITION, QUATERNION, VELOCITY, RATES))
+        self._before = tuple(part.copy() for part in self._parts[:2])
+        dynamics.flight.engine.loads = LoadPoses(*self._parts[:2], *self._before)
         dynamics.cables = with_entries(dynamics.cables, len(loads.cables))
         self._owner = np.array([cable.drone for cable in loads.cables], dtype=int)
         self._ends = np.array([(one.drone, drones + one.load) for one in loads.cables])
@@ -73,7 +76,9 @@ class LoadFlight:
             dynamics.cables.length[:, c] = cable.length
 
     def start(self, fresh: np.ndarray) -> None:
-        """Attach the cables of worlds (W,) bool that start."""
+        """Attach the cables of worlds (W,) bool that start, in which loads have not moved."""
+        for before, part in zip(self._before, self._parts, strict=False):
+            before[fresh] = part[fresh]
         cables = self._dynamics.cables
         cables.is_taut[fresh], cables.tension[fresh], cables.body[fresh] = False, 0.0, FREE
         self._attach()
@@ -99,7 +104,8 @@ class LoadFlight:
         drones = (state.swarm, state.setpoint, state.flown)
         program.callback(self._attach)
         program.callback(self._update_rows)
-        program.call(join_bodies, *drones, self._parts, self.bodies, self._setpoint, self.alive)
+        loads = (self._parts, self._before)
+        program.call(join_bodies, *drones, *loads, self.bodies, self._setpoint, self.alive)
         wind.add_to(program, self.bodies.position, state.time, self._wind)
         setpoints = Setpoints(self._levels, self._setpoint)
         dynamics.add_to(program, self.bodies, self.alive, setpoints, self._wind)
@@ -143,6 +149,7 @@ def join_bodies(
     setpoint: np.ndarray,
     flown: np.ndarray,
     parts: Parts,
+    before: tuple[np.ndarray, np.ndarray],
     bodies: Swarm,
     setpoints: np.ndarray,
     alive: np.ndarray,
@@ -154,6 +161,7 @@ def join_bodies(
         setpoint: (W, N, S) setpoints.
         flown: (W, N) bool.
         parts: State of the loads.
+        before: Positions and quaternions of the loads before the flight, written.
         bodies: State of the bodies, written.
         setpoints: (W, N + L, S) written for drones.
         alive: (W, N + L) bool, written.
@@ -174,11 +182,11 @@ def join_bodies(
             i = drones + m
             alive[w, i] = any_flown
             for k in range(3):
-                bodies.position[w, i, k] = position[w, m, k]
+                bodies.position[w, i, k] = before[0][w, m, k] = position[w, m, k]
                 bodies.velocity[w, i, k] = velocity[w, m, k]
                 bodies.rates[w, i, k] = rates[w, m, k]
             for k in range(4):
-                bodies.quaternion[w, i, k] = quaternion[w, m, k]
+                bodies.quaternion[w, i, k] = before[1][w, m, k] = quaternion[w, m, k]
 
 
 @kernel

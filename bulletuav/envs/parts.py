@@ -109,6 +109,10 @@ class Parts(ABC):
         self.dynamics.show(swarm, mask)
         self.engine.show_obstacles()
 
+    def shown(self, swarm: Swarm, mask: np.ndarray) -> tuple[Swarm, np.ndarray]:
+        """Return the state and the mask (W, N) of the bodies that are shown: the drones."""
+        return swarm, mask
+
     def layout(self, of: str, parts: Mapping[str, str]) -> SnapshotLayout:
         """Return the layout of arrays in snapshots.
 

@@ -44,7 +44,7 @@ from bulletuav.geometry.rotation import (
 )
 from bulletuav.geometry.scenery import Scenery
 from bulletuav.geometry.shapes import BOX, HULL, SPHERE, intersect_box
-from bulletuav.geometry.view import BUILDING, DRONE, FAR, LAND, OBSTACLE, SKY
+from bulletuav.geometry.view import FAR
 from bulletuav.geometry.view_blocks import GROUND_FACE, SKY_FACE, Faces, ViewBlocks
 
 TILE = 8
@@ -914,25 +914,11 @@ def _write_depth(canvas: Canvas, depth: np.ndarray, c: int) -> None:
 
 
 @kernel
-def _write_labels(
-    canvas: Canvas, first_obstacle: int, first_building: int, labels: np.ndarray, c: int
-) -> None:
-    """Write the labels of a picture.
-
-    Args:
-        canvas: The picture.
-        first_obstacle: First id of the faces of bodies, which follow those of drones.
-        first_building: First id of the faces of the city's pieces.
-        labels: (P, height, width) labels; written.
-        c: Index of the picture.
-    """
+def _write_labels(canvas: Canvas, label: np.ndarray, labels: np.ndarray, c: int) -> None:
+    """Write the labels (P, height, width) of picture c: that of each face."""
     for v in range(labels.shape[1]):
         for u in range(labels.shape[2]):
-            face = canvas.face[v, u]
-            label = BUILDING if face >= first_building else OBSTACLE
-            label = DRONE if face < first_obstacle else label
-            label = LAND if face == GROUND_FACE else label
-            labels[c, v, u] = SKY if face == SKY_FACE else label
+            labels[c, v, u] = label[canvas.face[v, u]]
 
 
 @kernel
@@ -1218,9 +1204,7 @@ def draw_pictures(
         if images.depth.shape[0] > 0:
             _write_depth(canvas, images.depth, cameras.slot[c])
         if images.labels.shape[0] > 0:
-            bodies = faces.first[scenery.first_body]
-            pieces = faces.first[scenery.first_piece]
-            _write_labels(canvas, bodies, pieces, images.labels, cameras.slot[c])
+            _write_labels(canvas, faces.labels, images.labels, cameras.slot[c])
         if images.colours.shape[0] > 0:
             k = w if paint.colour.shape[0] > 1 else 0
             _write_colours(canvas, rays, view, paint.colour[k], images.colours, cameras.slot[c])

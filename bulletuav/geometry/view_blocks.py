@@ -87,8 +87,13 @@ def make_view_blocks(low: np.ndarray, high: np.ndarray, counts: Sequence[int]) -
     )
 
 
-def make_faces(scenery: Scenery) -> Faces:
-    """Assign ids to the faces of the shapes of a scenery, and find the edges of its hulls."""
+def make_faces(scenery: Scenery, is_load: np.ndarray | None = None) -> Faces:
+    """Assign ids to the faces of the shapes of a scenery, and find the edges of its hulls.
+
+    Args:
+        scenery: The shapes.
+        is_load: (N,) bool, drones that are loads, with the label of obstacles; None for none.
+    """
     table = scenery.table
     shapes = len(table.kind)
     count = np.ones(shapes, dtype=np.int64)
@@ -97,6 +102,8 @@ def make_faces(scenery: Scenery) -> Faces:
     count[hull] = (table.face_range[:, 1] - table.face_range[:, 0])[hull]
     label = np.full(shapes, BUILDING, dtype=np.uint8)
     label[: scenery.first_body] = DRONE
+    if is_load is not None:
+        label[: scenery.first_body][is_load] = OBSTACLE
     label[scenery.first_body : scenery.first_piece] = OBSTACLE
     edges, edge_range = _find_edges(table)
     return Faces(

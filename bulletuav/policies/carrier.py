@@ -110,7 +110,7 @@ class Carrier(Policy):
         is_near = (across < 2 * NEAR) & ~stands & (height > GROUND)
         gain = INTEGRAL_GAIN / self.aviary.options.decision_hz
         self._drift += np.where(is_near[..., None], gain * view.offset[..., :2], 0.0)
-        self._drift[:] = limit_horizontal(self._drift, MAX_INTEGRAL)
+        self._drift[:] = limit_norm(self._drift, MAX_INTEGRAL)
         velocity[..., :2] += self._drift
         # Above the end of the cable
         length = self.task.config.cable_length
@@ -127,17 +127,10 @@ class Carrier(Policy):
         # Lifted before it moves
         is_free = np.clip((height - GROUND) / (LIFTED - GROUND), 0.0, 1.0)
         speed = np.zeros_like(view.offset)
-        towards = limit_horizontal(LOAD_GAIN * view.offset[..., :2], CARRY_SPEED)
+        towards = limit_norm(LOAD_GAIN * view.offset[..., :2], CARRY_SPEED)
         speed[..., :2] = is_free[..., None] * towards
         speed[..., 2] = np.clip(HEIGHT_GAIN * (wanted - height), -SINK, CLIMB)
         return speed
-
-
-def limit_horizontal(vector: np.ndarray, most: float) -> np.ndarray:
-    """Return vectors (W, N, 2) shortened to a maximum length."""
-    length = horizontal_distance(vector)[..., None]
-    limited: np.ndarray = vector * np.minimum(1.0, most / np.maximum(length, 1e-9))
-    return limited
 
 
 def horizontal_distance(offset: np.ndarray) -> np.ndarray:

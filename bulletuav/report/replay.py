@@ -204,6 +204,8 @@ def _add_rows(payload: Payload, recording: Recording, about: dict[str, Any]) -> 
     payload.add_series("obstacle", recording.obstacle)
     turns = unwrap_quaternions(recording.scene["obstacle_quaternion"])
     payload.add_series("obstacle_quaternion", turns)
+    if "cable" in recording.scene:
+        payload.add_series("cable", recording.scene["cable"])
     payload.add("conflict", prepend_missing_row(recording.separation) < about["d_safe"], "u1")
     payload.add("contact_row", recording.contact_step + 1, "u4")
     payload.add("contact_point", recording.contact_point, "f4")
@@ -239,9 +241,13 @@ def _add_city(payload: Payload, recording: Recording) -> None:
     sizes = recording.scene["hull_size"]
     hulls = np.split(recording.scene["hull"], np.cumsum(sizes)[:-1]) if len(sizes) else []
     boxes = recording.building[: len(recording.building) - len(sizes)]
-    corners, triangles = Solids(boxes, tuple(hulls)).mesh
+    solids = Solids(boxes, tuple(hulls))
+    corners, triangles = solids.mesh
     payload.add("city_corners", corners, "f4")
     payload.add("city_triangles", triangles, "u4")
+    colours = recording.scene.get("building_colour", np.zeros((0, 3)))
+    counts = [len(vertices) for vertices, _ in solids.faces] if len(colours) else []
+    payload.add("city_colours", np.repeat(colours, counts, axis=0) / 255, "f4")
 
 
 def _hull_triangles(corners: list[Any]) -> list[list[int]]:

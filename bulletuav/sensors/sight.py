@@ -116,7 +116,7 @@ def sights(
 
 
 def clearances(engine: Engine, swarm: Swarm, mask: np.ndarray, max_distance: float) -> np.ndarray:
-    """Compute the distance to the nearest object: ground, building, obstacle, body or drone.
+    """Compute the distance to the nearest object: ground, building, obstacle, body, load or drone.
 
     Args:
         engine: The engine, whose scenery is read and not modified.
@@ -128,8 +128,11 @@ def clearances(engine: Engine, swarm: Swarm, mask: np.ndarray, max_distance: flo
         (W, N) distance between collision shapes, m, to 1e-6; negative if shapes overlap. It is
         `max_distance` if nothing is nearer, and for drones outside `mask`.
     """
+    drones = mask.shape[1]
+    swarm, mask = engine.with_loads((swarm, mask)) or (swarm, mask)
     poses = swarm.position, swarm.quaternion
-    return measure_clearance(engine.scenery, *poses, mask, max_distance, make_scratch())
+    found = measure_clearance(engine.scenery, *poses, mask, max_distance, make_scratch())
+    return found[:, :drones]
 
 
 AHEAD = {

@@ -147,7 +147,7 @@ class Transport(Task[TransportConfig]):
     One load is on the ground, and each drone hovers above one end of it on a slack cable. The place
     is 4 to 6 m away in any direction. A load stands in its place once it is at rest on the ground
     within 0.2 m of it, with at most a tenth of its weight on the cables, for 0.5 s: it is then
-    released. Cables only pull; range finders and cameras do not see loads.
+    released. Cables only pull; range finders and cameras see the load, but no cables.
 
     Observation, Box(51) per drone with the defaults: attitude as a quaternion, body to world;
     velocity in world axes (east, north, up); rates in body axes; position of the load relative to

@@ -182,3 +182,9 @@ def test_limit_norm_keeps_direction_and_short_vectors():
         limit_norm(np.array([[(3.0, 4, 0), (0.3, 0.4, 0), (0, 0, 0)]]), 1.0),
         [[(0.6, 0.8, 0), (0.3, 0.4, 0), (0, 0, 0)]],
     )
+
+
+@pytest.mark.parametrize("size", [1, 2, 4, 5])
+def test_limit_norm_takes_vectors_of_any_size(size):
+    given = np.full((2, 3, size), 2.0)
+    np.testing.assert_allclose(limit_norm(given, 1.5), np.full(given.shape, 1.5 / size**0.5))

@@ -4,10 +4,13 @@ import numpy as np
 import pytest
 
 import bulletuav
+from bulletuav.geometry.view import OBSTACLE
 from bulletuav.policies import find_policy
+from bulletuav.sensors.mounts import Mount
 from bulletuav.tasks.parts.loads import ATTACHED, POSITION, QUATERNION, TENSION, VELOCITY
 from bulletuav.tasks.transport import lay_out
 
+IMAGES = ("depth", "segmentation", "flow")
 WIND = {"wind": (1.0, 0.5, 0.0)}
 
 
@@ -113,6 +116,14 @@ def test_the_load_is_delivered_and_released():
     assert step is not None
 
 
+@pytest.mark.parametrize("load_mass", [0.5, 0.8])
+def test_heavy_loads_are_delivered(load_mass):
+    # 0.7 and 1.1 times the weight of the drone, whose thrust is 3.4 times its weight
+    aviary = bulletuav.Aviary("transport", 1, load_mass=load_mass)
+    fly(aviary, "carrier", 900, aviary.reset(seeds=1))
+    assert aviary.scene.memory["delivered"].all()
+
+
 def test_drones_that_leave_drop_their_cables():
     aviary = bulletuav.Aviary("transport", 1, num_drones=2, battery_capacity=10.0)
     seen = aviary.reset(seeds=0, charge=[1.0, 0.01])
@@ -195,6 +206,35 @@ def test_cables_are_apart_on_all_loads():
 def test_invalid_options_are_reported(options, words):
     with pytest.raises(ValueError, match=words):
         bulletuav.Aviary("transport", 1, **options)
+
+
+def test_sensors_see_the_load_where_it_is():
+    aviary = bulletuav.Aviary(
+        "transport",
+        1,
+        observation=("load", "cable", "load_goal_offset", "lidar", "clearance", *IMAGES),
+        num_beams=1,
+        lidar_elevations=(-90.0, 45.0),
+        camera_mounts=[Mount(pitch=-90.0, offset=(0.0, 0.0, 0.0), stabilized=True)],
+        camera_size=(9, 9),
+    )
+    seen = aviary.reset(seeds=0)
+    for decisions in (0, 60):
+        # Lifted straight up, the load stays below the drone
+        if decisions:
+            fly(aviary, "transport_lift", decisions, seen)
+        load, drone = aviary.scene.memory[POSITION][0, 0], aviary.swarm.position[0, 0]
+        down, readings = drone[2] - load[2] - 0.125, aviary.readings
+        assert readings["lidar"][0, 0] == pytest.approx([down, 60.0], abs=0.003)
+        assert readings["depth"][0, 0, 0, 4, 4] == pytest.approx(down, abs=0.003)
+        assert readings["segmentation"][0, 0, 0, 4, 4] == OBSTACLE
+        assert down - 0.1 < readings["clearance"][0, 0] < down
+        start = load + [(0.5, 0.0, 0.0), (0.5, 0.0, 0.3)]
+        end = load + [(-0.5, 0.0, 0.0), (-0.5, 0.0, 0.3)]
+        np.testing.assert_array_equal(aviary.line_of_sight(start, end, 0), [False, True])
+    assert load[2] > 0.5
+    # In the picture the load does not move, as it follows the drone
+    assert np.abs(readings["flow"][0, 0, 0, 4, 4]).max() < 0.1
 
 
 def test_pictures_show_the_load_and_its_cables():

@@ -122,14 +122,14 @@ class Compiled:
 
 
 @func
-def limit_drone(vector: np.ndarray, limit: float, w: int, i: int) -> None:
-    """Limit the norm of the vector of one drone, in place; see `limit_norm`."""
+def limit_drone(vector: np.ndarray, size: int, limit: float, w: int, i: int) -> None:
+    """Limit the norm of the first `size` numbers of one drone, in place; see `limit_norm`."""
     square = 0.0
-    for k in range(3):
+    for k in range(size):
         square += vector[w, i, k] ** 2
     # At most 1, without a division by zero
     share = limit / max(math.sqrt(square), limit)
-    for k in range(3):
+    for k in range(size):
         vector[w, i, k] = share * vector[w, i, k]
 
 
@@ -138,7 +138,7 @@ def _limit_all(vector: np.ndarray, limit: float) -> None:
     """Limit the norm of vectors in place; see `limit_norm`."""
     for w in range(vector.shape[0]):
         for i in range(vector.shape[1]):
-            limit_drone(vector, limit, w, i)
+            limit_drone(vector, vector.shape[2], limit, w, i)
 
 
 @kernel
@@ -146,18 +146,18 @@ def limit_each(vector: np.ndarray, limit: np.ndarray) -> None:
     """Limit the norm of the first three numbers of vectors (W, N, S) to limits (N,), in place."""
     for w in range(vector.shape[0]):
         for i in range(vector.shape[1]):
-            limit_drone(vector, limit[i], w, i)
+            limit_drone(vector, 3, limit[i], w, i)
 
 
 def limit_norm(vector: np.ndarray, limit: float) -> np.ndarray:
     """Limit the norm of vectors; their direction does not change.
 
     Args:
-        vector: (W, N, 3) vectors.
+        vector: (W, N, K) vectors.
         limit: Maximum norm, above 0.
 
     Returns:
-        (W, N, 3) vectors no longer than the limit.
+        (W, N, K) vectors no longer than the limit.
     """
     result = np.array(vector, dtype=float)
     _limit_all(result, limit)

@@ -35,7 +35,7 @@ def _decode_limited(
             for k in range(3):
                 # Scale each axis, then limit the norm
                 setpoint[w, i, k] = action[w, i, k] * (climb if k == UP else most)
-            limit_drone(setpoint, most, w, i)
+            limit_drone(setpoint, 3, most, w, i)
             setpoint[w, i, YAW] = 0.0
 
 
@@ -54,7 +54,7 @@ def _decode_increment(
             for k in range(3):
                 # Relative to the last commanded velocity, not to the drone's velocity
                 setpoint[w, i, k] = commanded[w, i, k] + step * action[w, i, k]
-            limit_drone(setpoint, speed, w, i)
+            limit_drone(setpoint, 3, speed, w, i)
             # The vertical velocity has its own limit
             setpoint[w, i, UP] = min(max(setpoint[w, i, UP], -climb), climb)
             setpoint[w, i, YAW] = 0.0
@@ -77,7 +77,7 @@ def _decode_turn(
             setpoint[w, i, 0] = speed * cos(heading)
             setpoint[w, i, 1] = speed * sin(heading)
             setpoint[w, i, UP] = climb * action[w, i, 2]
-            limit_drone(setpoint, most, w, i)
+            limit_drone(setpoint, 3, most, w, i)
             setpoint[w, i, YAW] = heading
 
 

@@ -17,6 +17,7 @@ const LAYERS = [
   ["users", "Users"],
   ["links", "Links to served users"],
   ["beams", "Range finder beams"],
+  ["cables", "Cables"],
   ["city", "City"],
 ];
 const PAN = 40; // step of the view per key press, pixels

@@ -24,6 +24,7 @@ const COLOURS = [
   "seen",
   "unseen",
   "link",
+  "cable",
   "beam",
   "miss",
   "contact",
@@ -92,6 +93,7 @@ class Player {
       users: about.users && this.service.users,
       links: this.service.hasLinks && this.service.links,
       beams: this.service.ranges && this.service.beams,
+      cables: this.service.ends && this.service.cables,
       city: this.world.city,
     };
     for (const name of this.hidden) if (this.layers[name]) this.showLayer(name, false);
@@ -224,6 +226,7 @@ class Player {
       ["unseen", "target out of sight", layers.users],
       ["link", "serves user", layers.links],
       ["beam", "range finder beam", layers.beams],
+      ["cable", "cable", layers.cables],
       ["contact", "contact", layers.contacts],
     ].filter(([, , there]) => there);
     byId("key").replaceChildren(

@@ -1,4 +1,5 @@
-// Users on the ground, links to their serving drones, and the selected drone's range finder beams.
+// Users on the ground, links to their serving drones, the selected drone's range finder beams, and
+// cables.
 
 import {
   CylinderGeometry,
@@ -48,13 +49,16 @@ export class Service extends Group {
     });
     this.directions = directions;
     this.beams = new Lines(Math.max(1, directions.length), 1.5, 0.8);
-    this.add(this.users, this.links, this.beams);
+    this.ends = payload.has("cable") ? payload.series("cable") : null;
+    this.cables = new Lines(this.ends ? this.ends.low.length / 6 : 1, 2, 1);
+    this.add(this.users, this.links, this.beams, this.cables);
   }
 
   update({ pixel, chosen, trueSize }) {
     this.placeUsers(pixel, trueSize);
     this.placeLinks();
     this.placeBeams(chosen);
+    if (this.ends) this.placeCables();
   }
 
   placeUsers(pixel, trueSize) {
@@ -113,6 +117,24 @@ export class Service extends Group {
       this.beams.put(k, p, 3 * chosen, end, 0, hits ? this.palette.beam : this.palette.miss);
     }
     this.beams.show(count);
+  }
+
+  placeCables() {
+    const { row, share, about } = this.episode;
+    const next = Math.min(row + 1, about.rows - 1);
+    const place = new Float32Array(6);
+    let count = 0;
+    for (let part = 0; part < this.ends.low.length; part += 6) {
+      for (let k = 0; k < 6; k += 1) {
+        const now = this.ends.at(row, part + k);
+        place[k] = now + share * (this.ends.at(next, part + k) - now);
+      }
+      // Entries without a cable have no ends.
+      if (Number.isNaN(place[0])) continue;
+      this.cables.put(count, place, 0, place, 3, this.palette.cable);
+      count += 1;
+    }
+    this.cables.show(count);
   }
 
   paint(palette) {

@@ -129,9 +129,16 @@ export class World extends Group {
     // Walls are darker near the ground, to make heights visible.
     const place = flat.attributes.position;
     const shade = new Float32Array(3 * place.count);
+    const own = payload.array("city_colours");
+    this.hasOwnColours = own.length > 0;
+    const triangles = payload.array("city_triangles");
     for (let k = 0; k < place.count; k += 1) {
       const bright = 0.72 + 0.28 * Math.min(1, place.getZ(k) / 30);
       shade.fill(bright, 3 * k, 3 * k + 3);
+      if (this.hasOwnColours) {
+        const corner = 3 * triangles[k];
+        hue(own.subarray(corner, corner + 3)).toArray(shade, 3 * k);
+      }
     }
     flat.setAttribute("color", new BufferAttribute(shade, 3));
     this.city = new Mesh(
@@ -228,7 +235,7 @@ export class World extends Group {
   paint(palette) {
     for (const name of ["land", "grid", "sky"])
       this.ground.material.uniforms[name].value = palette[name];
-    if (this.city) this.city.material.color = palette.building;
+    if (this.city && !this.hasOwnColours) this.city.material.color = palette.building;
     if (this.edges) this.edges.material.color = palette.edge;
   }
 }

@@ -37,8 +37,8 @@ class Loads(Part):
     The environment flies the loads as bodies of its dynamics, which must have cables, and writes
     their state to the memory after each flight. A start sets where loads are, by `start`. A task
     releases a load by setting entries of "cable_attached" to 0. Cables of drones whose episode
-    ended do not pull. Sensors do not see loads, and contacts of loads are only those of drones with
-    them, whose `Contacts.other` is the number of drones plus the index of the load.
+    ended do not pull. Sensors see loads, but no cables. Contacts of loads are only those of drones
+    with them, whose `Contacts.other` is the number of drones plus the index of the load.
 
     Attributes:
         loads: The loads.
