@@ -101,14 +101,6 @@ class Recorded(Protocol):
         """Targets that are served, (W, N, U) bool."""
 
     @property
-    def cable_ends(self) -> np.ndarray:
-        """Stack the ends of cables of all rows, (R, E, 2, 3), m; NaN where there is no cable."""
-        most = max(len(ends) for ends in self._cables)
-        stacked = np.full((len(self._cables), most, 2, 3), np.nan)
-        for k, ends in enumerate(self._cables):
-            stacked[k, : len(ends)] = ends
-        return stacked
-
     def readings(self) -> Mapping[str, np.ndarray]:
         """Sensor readings, (W, N, ...) by name."""
 
@@ -200,6 +192,14 @@ class SceneLog:
         hidden[..., :2] = self._aviary.swarm.position[0, :, :2].mean(axis=0)
         hidden[..., 2] = -2 * radius
         return np.where(place[..., 2:] == NOWHERE, hidden, place), turn
+
+    def cable_ends(self) -> np.ndarray:
+        """Stack the ends of cables of all rows, (R, E, 2, 3), m; NaN where there is no cable."""
+        most = max(len(ends) for ends in self._cables)
+        stacked = np.full((len(self._cables), most, 2, 3), np.nan)
+        for k, ends in enumerate(self._cables):
+            stacked[k, : len(ends)] = ends
+        return stacked
 
     def readings(self) -> dict[str, np.ndarray]:
         """Stack the sensor readings of all rows, by name."""

@@ -42,7 +42,7 @@ FASTEST_ATTITUDE = 10.0
 MAX_TILT = math.radians(55)
 """Largest tilt that controllers command, rad"""
 MAX_PUSH = 0.5
-"""Bound of the estimated disturbance without loads, in multiples of gravity"""
+"""Bound of the estimated disturbance in a flight without loads, in multiples of gravity"""
 MAX_DECELERATION = 5.0
 """Deceleration towards a target position, m/s^2"""
 

@@ -57,9 +57,9 @@ class CableWork(NamedTuple):
         columns: (C, L, `WIDTH`) columns of the matrix: second derivatives of the distances by
             tensions, negative, 1/kg.
         matrix: (C, L `WIDTH`) the same numbers.
-        factor: (C, C) Cholesky factor.
-        wanted: (L, `WIDTH`) right-hand side.
-        found: (C,) solution.
+        factor: (C, C) factors of the matrix; see `tensions`.
+        wanted: (2, L, `WIDTH`) right-hand sides.
+        found: (2, C) solutions.
         listed: (C,) bool, cables in the present system of equations.
         acts: (C,) bool, listed cables that carry a tension in the present solution.
         pulls: (C,) bool, cables that carried a tension in the last solution.
@@ -124,8 +124,8 @@ class CableWork(NamedTuple):
             columns=columns,
             matrix=columns.reshape(num_cables, rows * WIDTH),
             factor=np.zeros((num_cables, num_cables)),
-            wanted=lane_zeros(rows),
-            found=np.zeros(num_cables),
+            wanted=lane_zeros(2, rows),
+            found=np.zeros((2, num_cables)),
             listed=np.zeros(num_cables, dtype=bool),
             acts=np.zeros(num_cables, dtype=bool),
             pulls=np.zeros(num_cables, dtype=bool),

@@ -168,26 +168,20 @@ def pack_cables(cables: Any, parameters: np.ndarray, w: int, g: int) -> None:
     work, first, size = cables.work, cables.first_cable[w, g], num_cables(cables, w, g)
     held, number, world = work.held, work.number, work.now.shape[0] - 1
     for s in range((size + WIDTH - 1) // WIDTH * WIDTH):
+        # Lanes after the last cable repeat it, without bodies
+        c = cables.cable[w, first + min(s, size - 1)]
         for end in range(2):
             row, lane = 2 * (s // WIDTH) + end, s % WIDTH
-            body = WORLD
+            body = cables.body[w, c, end] if s < size else WORLD
+            i = max(body, 0)
+            block, moves = i // WIDTH if body >= 0 else world, body >= 0 and not work.is_fixed[i]
+            record = parameters[w, i]
+            held[row, 3, lane] = record.mass if moves else np.inf
             for k in range(3):
-                held[row, k, lane] = 0.0
-            for k in range(4):
-                held[row, 3 + k, lane] = np.inf
-            if s < size:
-                c = cables.cable[w, first + s]
-                body = cables.body[w, c, end]
-                for k in range(3):
-                    held[row, k, lane] = cables.point[w, c, end, k]
-            if body >= 0 and not work.is_fixed[body]:
-                record = parameters[w, body]
-                held[row, 3, lane] = record.mass
-                for k in range(3):
-                    held[row, 4 + k, lane] = record.inertia[k]
+                held[row, k, lane] = cables.point[w, c, end, k]
+                held[row, 4 + k, lane] = record.inertia[k] if moves else np.inf
             number[row, 0, lane] = body
-            block = body // WIDTH if body >= 0 else world
-            work.ends[row, lane] = block * work.now.shape[1] * WIDTH + max(body, 0) % WIDTH
+            work.ends[row, lane] = block * work.now.shape[1] * WIDTH + i % WIDTH
     for row in range((size + WIDTH - 1) // WIDTH * 2):
         masses = lanes_of(held, row)
         for k in range(3, 7):
@@ -243,53 +237,47 @@ def _fill_matrix(work: Any, size: int) -> None:
 
 
 @kernel
-def _factorise(work: Any, size: int) -> None:
-    """Compute the Cholesky factor of the matrix, restricted to the cables that pull.
+def _solve(work: Any, size: int, count: int) -> None:
+    """Solve the equations of the cables that pull for `count` right-hand sides, by L D L^T.
 
-    The diagonal has the reciprocals. Rows of other cables are those of the identity matrix.
+    The factor L is below the diagonal, the reciprocals of D on it, and L D transposed above it.
+    Rows of other cables are those of the identity matrix, and their results are 0.
     """
     matrix, factor, acts = work.matrix, work.factor, work.acts
+    found, wanted = work.found, work.wanted
     for i in range(size):
-        if not acts[i]:
-            for j in range(i):
-                factor[i, j] = 0.0
-            factor[i, i] = 1.0
-            continue
+        block, lane, any_pull = i // WIDTH, i % WIDTH, acts[i]
+        pivot = matrix[i, i] if any_pull else 1.0
         for j in range(i):
-            total = matrix[j, i] if acts[j] else 0.0
+            total = matrix[j, i] if any_pull and acts[j] else 0.0
             for k in range(j):
-                total -= factor[i, k] * factor[j, k]
+                total -= factor[k, i] * factor[j, k]
+            factor[j, i] = total
             factor[i, j] = total * factor[j, j]
-        total = matrix[i, i]
-        for k in range(i):
-            total -= factor[i, k] * factor[i, k]
+            pivot -= total * factor[i, j]
         # Rounding may make the pivot of parallel cables negative
-        factor[i, i] = 1.0 / math.sqrt(max(total, REGULARISATION * matrix[i, i]))
-
-
-@kernel
-def _substitute(work: Any, size: int) -> None:
-    """Solve the factorised system; the results of cables that do not pull are 0."""
-    factor, found, wanted, acts = work.factor, work.found, work.wanted, work.acts
-    for i in range(size):
-        total = wanted[i // WIDTH, i % WIDTH] if acts[i] else 0.0
-        for k in range(i):
-            total -= factor[i, k] * found[k]
-        found[i] = total * factor[i, i]
+        least = REGULARISATION * matrix[i, i] if any_pull else 1.0
+        factor[i, i] = 1.0 / max(pivot, least)
+        for r in range(count):
+            total = wanted[r, block, lane] if any_pull else 0.0
+            for k in range(i):
+                total -= factor[i, k] * found[r, k]
+            found[r, i] = total
     for back in range(size):
         i = size - 1 - back
-        total = found[i]
-        for k in range(i + 1, size):
-            total -= factor[k, i] * found[k]
-        found[i] = total * factor[i, i]
+        for r in range(count):
+            total = found[r, i] * factor[i, i]
+            for k in range(i + 1, size):
+                total -= factor[k, i] * found[r, k]
+            found[r, i] = total
 
 
 @func
 def _compute_residual(work: Any, size: int, i: int) -> float:
     """Return row i of matrix times solution minus right-hand side."""
-    total = -work.wanted[i // WIDTH, i % WIDTH]
+    total = -work.wanted[0, i // WIDTH, i % WIDTH]
     for k in range(size):
-        total += work.matrix[min(i, k), max(i, k)] * work.found[k]
+        total += work.matrix[min(i, k), max(i, k)] * work.found[0, k]
     return float(total)
 
 
@@ -299,7 +287,7 @@ def _flip_wrong_signs(work: Any, size: int, only_first: bool) -> bool:
     any_wrong = False
     for i in range(size):
         if work.acts[i]:
-            wrong = work.found[i] < 0.0
+            wrong = work.found[0, i] < 0.0
         else:
             # A fixed cable cannot change its distance
             can_act = work.listed[i] and work.matrix[i, i] > 0.0
@@ -317,22 +305,21 @@ def _solve_complementarity(work: Any, size: int) -> None:
     is_solved = False
     for trial in range(MAX_BLOCK_PIVOTS + 8 * (size + 1)):
         if not is_solved:
-            _factorise(work, size)
-            _substitute(work, size)
+            _solve(work, size, 1)
             is_solved = not _flip_wrong_signs(work, size, trial >= MAX_BLOCK_PIVOTS)
     for i in range(size):
-        work.found[i] = max(work.found[i], 0.0)
+        work.found[0, i] = max(work.found[0, i], 0.0)
         if work.listed[i]:
             work.pulls[i] = work.acts[i]
 
 
 @func
-def _accelerate(cables: Any, moved: np.ndarray, w: int, g: int, size: int) -> None:
-    """Add the responses to the solution to the velocities and rates of `moved`."""
+def _accelerate(cables: Any, moved: np.ndarray, w: int, g: int, size: int, r: int) -> None:
+    """Add the responses to solution r to the velocities and rates of `moved`."""
     work, first = cables.work, cables.first_cable[w, g]
     for i in range(size):
         if work.acts[i]:
-            c, tension = cables.cable[w, first + i], work.found[i]
+            c, tension = cables.cable[w, first + i], work.found[r, i]
             for end in range(2):
                 body, row = cables.body[w, c, end], 2 * (i // WIDTH) + end
                 if body >= 0:
@@ -381,8 +368,8 @@ def add_tensions(cables: Any, w: int, g: int, weight: float) -> None:
     _solve_complementarity(work, size)
     for s in range(size):
         if work.acts[s]:
-            work.pull[s] += weight * work.found[s]
-    _accelerate(cables, work.slope, w, g, size)
+            work.pull[s] += weight * work.found[0, s]
+    _accelerate(cables, work.slope, w, g, size, 0)
 
 
 @kernel
@@ -402,35 +389,45 @@ def apply_impulses(cables: Any, w: int, g: int) -> None:
     if not _list_taut(cables, w, g, size):
         return
     measure_cables(work, size)
-    _set_rates(work, size)
+    _set_rates(work, size, 0)
     _fill_matrix(work, size)
     _solve_complementarity(work, size)
     for s in range(size):
         if work.acts[s]:
-            work.pull[s] += work.found[s]
-    _accelerate(cables, work.now, w, g, size)
+            work.pull[s] += work.found[0, s]
+    _accelerate(cables, work.now, w, g, size, 0)
 
 
 @func
-def _set_rates(work: Any, size: int) -> None:
-    """Set the right-hand side to the rates of the distances."""
-    right = lanes_of(work.wanted, 0)
+def _set_rates(work: Any, size: int, r: int) -> None:
+    """Set right-hand side r to the rates of the distances."""
+    right = lanes_of(work.wanted, r)
     for b in range((size + WIDTH - 1) // WIDTH):
         right[b] = lanes_of(work.measured, b)[1]
 
 
 @func
-def _shift_body(now: np.ndarray, body: int, size: float, response: np.ndarray) -> None:
-    """Move and turn a body by a correction along a response."""
-    b, lane = body // WIDTH, body % WIDTH
-    x, y, z = now[b, QUATERNION, lane], now[b, QUATERNION + 1, lane], now[b, QUATERNION + 2, lane]
-    half = 0.5 * size
-    turn = (half * response[3], half * response[4], half * response[5], 1.0)
-    turned = normalise_quaternion(product((x, y, z, now[b, QUATERNION + 3, lane]), turn))
-    for k in range(3):
-        now[b, POSITION + k, lane] += size * response[k]
-    for k in range(4):
-        now[b, QUATERNION + k, lane] = turned[k]
+def _shift_bodies(cables: Any, w: int, g: int, size: int) -> None:
+    """Move and turn the bodies of a group by the responses to the solution.
+
+    `work.slope` has the sums of the corrections.
+    """
+    work = cables.work
+    for b in range(work.is_used.shape[0]):
+        shift = lanes_of(work.slope, b)
+        for k in range(VELOCITY, QUATERNION):
+            shift[k] = 0.0
+    _accelerate(cables, work.slope, w, g, size, 0)
+    for b in range(work.is_used.shape[0]):
+        if not work.is_used[b]:
+            continue
+        shift, now = lanes_of(work.slope, b), lanes_of(work.now, b)
+        turn = (0.5 * shift[6], 0.5 * shift[7], 0.5 * shift[8], 1.0)
+        turned = normalise_quaternion(product((now[9], now[10], now[11], now[12]), turn))
+        for k in range(3):
+            now[POSITION + k] += shift[VELOCITY + k]
+        for k in range(4):
+            now[QUATERNION + k] = turned[k]
 
 
 @kernel
@@ -457,24 +454,16 @@ def correct_lengths(cables: Any, w: int, g: int, is_drift: bool, max_iterations:
             work.listed[s] = cables.is_taut[w, cables.cable[w, first + s]] and work.pulls[s]
             if work.listed[s]:
                 excess = get_excess(cables, w, g, s)
-                work.wanted[s // WIDTH, s % WIDTH] = excess
+                work.wanted[0, s // WIDTH, s % WIDTH] = excess
                 worst, any_listed = max(worst, abs(excess)), True
         if not any_listed:
             return
+        _set_rates(work, size, 1)
         _fill_matrix(work, size)
-        _factorise(work, size)
-        _substitute(work, size)
-        for s in range(size):
-            c, lane = cables.cable[w, first + s], s % WIDTH
-            for end in range(2):
-                body = cables.body[w, c, end]
-                if body >= 0 and work.acts[s]:
-                    response = work.response[2 * (s // WIDTH) + end, :, lane]
-                    _shift_body(work.now, body, work.found[s], response)
+        _solve(work, size, 2)
+        _shift_bodies(cables, w, g, size)
         # Newton's method converges quadratically, and the directions of the cables hardly change
         if worst <= SMALL:
             if is_drift:
-                _set_rates(work, size)
-                _substitute(work, size)
-                _accelerate(cables, work.now, w, g, size)
+                _accelerate(cables, work.now, w, g, size, 1)
             return

@@ -282,15 +282,19 @@ def _find_event(flight: Any, w: int, g: int, first: int, dt: float, excess: floa
 
 
 @func
-def _tighten(flight: Any, contact: Any, w: int, g: int) -> None:
-    """Make cables of a group taut whose ends part at its length, and stop that by impulses."""
+def _tighten(flight: Any, contact: Any, w: int, g: int) -> bool:
+    """Make cables of a group taut whose ends part at its length, and stop that by impulses.
+
+    Returns:
+        True if a cable became taut.
+    """
     decision, _, cables = flight
     work, size, first = cables.work, num_cables(cables, w, g), cables.first_cable[w, g]
     any_slack = any_new = any_woken = False
     for s in range(size):
         any_slack = any_slack or not cables.is_taut[w, cables.cable[w, first + s]]
     if not any_slack:
-        return
+        return False
     measure_cables(work, size)
     for s in range(size):
         c = cables.cable[w, first + s]
@@ -310,6 +314,7 @@ def _tighten(flight: Any, contact: Any, w: int, g: int) -> None:
         _choose_blocks(flight, w, g)
     if any_new:
         apply_impulses(cables, w, g)
+    return any_new
 
 
 @kernel
@@ -353,9 +358,9 @@ def _advance_group(flight: Any, contact: Any, w: int, g: int, first: int, dt: fl
         cables.work.pulls[s] = cables.is_taut[w, c]
         cables.work.pull[s] = 0.0
     _load_group(cables, swarm, w, g)
-    _tighten(flight, contact, w, g)
-    _record_tension(cables, w, g, substep)
-    _store_group(cables, swarm, w, g)
+    if _tighten(flight, contact, w, g):
+        _record_tension(cables, w, g, substep)
+        _store_group(cables, swarm, w, g)
     for event in range(MAX_EVENTS + 1):
         if event > 0:
             _load_group(cables, swarm, w, g)

@@ -14,8 +14,10 @@ import pytest
 from payload_block import Block
 
 import bulletuav
+from bulletuav.analysis.recorder import Recorder
 from bulletuav.analysis.recording import fly_episode, load, save
 from bulletuav.analysis.seals import add_seal, hash_files
+from bulletuav.city.terrain import CROWN_COLOUR, GROUND_COLOUR, TRUNK_COLOUR
 from bulletuav.cli import main
 from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.policies import find_policy
@@ -175,6 +177,46 @@ def test_ranges_of_the_finder_are_kept_as_they_were_measured(tmp_path):
     assert about["readings"]["lidar"][0] == ["beam 0", "m"]
     assert len(about["readings"]["lidar"]) == recording.reading["lidar"].shape[-1] == 32
     aviary.close()
+
+
+def test_cables_are_kept_until_they_are_released(tmp_path):
+    aviary = bulletuav.Aviary("transport", horizon=8)
+    aviary.reset(seeds=0)
+    recorder = Recorder(aviary)
+    for k in range(6):
+        if k == 4:
+            aviary.scene.memory["cable_attached"][:] = 0.0
+        actions = np.zeros((1, 1, 3))
+        step = aviary.step(actions)
+        recorder.record(actions, step.rewards, step.info)
+    recording = recorder.recording()
+    ends = recording.scene["cable"]
+    assert ends.shape == (7, 1, 2, 3)
+    np.testing.assert_array_equal(ends[:5, 0, 0], recording.position[:5, 0])
+    # The load is the first of the bodies; the cable ends on its top
+    top = recording.obstacle[:5, 0] + (0.0, 0.0, 0.125)
+    np.testing.assert_allclose(ends[:5, 0, 1], top, atol=1e-6)
+    assert np.isnan(ends[5:]).all()
+    page = tmp_path / "page.html"
+    write_replay(recording, "cables", page)
+    values, step = Block.of_page(page).series("cable")
+    np.testing.assert_allclose(values, ends.reshape(7, 6), atol=1e-6 + step.max())
+    aviary.close()
+
+
+def test_hills_and_trees_keep_their_colours(tmp_path):
+    city = {"kind": "wooded_hills", "tree_density": 30.0}
+    options = {"area": 200.0, "num_layouts": 1, "num_users": 3, "city": city, "horizon": 3}
+    recording = flown(tmp_path, "mec", "kmeans", **options)
+    colours = recording.scene["building_colour"]
+    assert colours.shape == (len(recording.building), 3)
+    assert set(map(tuple, colours)) == {GROUND_COLOUR, TRUNK_COLOUR, CROWN_COLOUR}
+    block = Block.of_page(replay_run(tmp_path))
+    shown = 255 * block.array("city_colours").reshape(-1, 3)
+    corners = block.array("city_corners").reshape(-1, 3)
+    assert shown.shape == corners.shape
+    # Above all hills there are crowns only
+    np.testing.assert_allclose(shown[corners[:, 2].argmax()], CROWN_COLOUR, rtol=1e-6)
 
 
 def test_obstacles_are_kept_with_their_shapes(tmp_path):

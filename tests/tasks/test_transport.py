@@ -6,7 +6,6 @@ import pytest
 import bulletuav
 from bulletuav.geometry.view import OBSTACLE
 from bulletuav.policies import find_policy
-from bulletuav.sensors.mounts import Mount
 from bulletuav.tasks.parts.loads import ATTACHED, POSITION, QUATERNION, TENSION, VELOCITY
 from bulletuav.tasks.transport import lay_out
 
@@ -215,7 +214,7 @@ def test_sensors_see_the_load_where_it_is():
         observation=("load", "cable", "load_goal_offset", "lidar", "clearance", *IMAGES),
         num_beams=1,
         lidar_elevations=(-90.0, 45.0),
-        camera_mounts=[Mount(pitch=-90.0, offset=(0.0, 0.0, 0.0), stabilized=True)],
+        camera_mounts=[{"pitch": -90.0, "offset": (0.0, 0.0, 0.0), "stabilized": True}],
         camera_size=(9, 9),
     )
     seen = aviary.reset(seeds=0)
