@@ -215,7 +215,7 @@ def test_sensors_see_the_load_where_it_is():
         num_beams=1,
         lidar_elevations=(-90.0, 45.0),
         camera_mounts=[{"pitch": -90.0, "offset": (0.0, 0.0, 0.0), "stabilized": True}],
-        camera_size=(9, 9),
+        camera_size=(33, 33),
     )
     seen = aviary.reset(seeds=0)
     for decisions in (0, 60):
@@ -225,15 +225,15 @@ def test_sensors_see_the_load_where_it_is():
         load, drone = aviary.scene.memory[POSITION][0, 0], aviary.swarm.position[0, 0]
         down, readings = drone[2] - load[2] - 0.125, aviary.readings
         assert readings["lidar"][0, 0] == pytest.approx([down, 60.0], abs=0.003)
-        assert readings["depth"][0, 0, 0, 4, 4] == pytest.approx(down, abs=0.003)
-        assert readings["segmentation"][0, 0, 0, 4, 4] == OBSTACLE
+        assert readings["depth"][0, 0, 0, 16, 16] == pytest.approx(down, abs=0.003)
+        assert readings["segmentation"][0, 0, 0, 16, 16] == OBSTACLE
         assert down - 0.1 < readings["clearance"][0, 0] < down
         start = load + [(0.5, 0.0, 0.0), (0.5, 0.0, 0.3)]
         end = load + [(-0.5, 0.0, 0.0), (-0.5, 0.0, 0.3)]
         np.testing.assert_array_equal(aviary.line_of_sight(start, end, 0), [False, True])
     assert load[2] > 0.5
     # In the picture the load does not move, as it follows the drone
-    assert np.abs(readings["flow"][0, 0, 0, 4, 4]).max() < 0.1
+    assert np.abs(readings["flow"][0, 0, 0, 16, 16]).max() < 0.1
 
 
 def test_pictures_show_the_load_and_its_cables():
