@@ -205,9 +205,8 @@ def test_cables_are_kept_until_they_are_released(tmp_path):
 
 
 def test_hills_and_trees_keep_their_colours(tmp_path):
-    city = {"kind": "wooded_hills", "tree_density": 30.0}
-    options = {"area": 200.0, "num_layouts": 1, "num_users": 3, "city": city, "horizon": 3}
-    recording = flown(tmp_path, "mec", "kmeans", **options)
+    city = {"kind": "wooded_hills", "tree_density": 40.0, "relief": 10.0}
+    recording = flown(tmp_path, "interception", "stay", city=city, horizon=3)
     colours = recording.scene["building_colour"]
     assert colours.shape == (len(recording.building), 3)
     assert set(map(tuple, colours)) == {GROUND_COLOUR, TRUNK_COLOUR, CROWN_COLOUR}
