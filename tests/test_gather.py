@@ -6,7 +6,13 @@ import numpy as np
 import pytest
 
 from bulletuav.compiled.dispatcher import plain_kernels
-from bulletuav.compiled.gather import gathered, lane_numbers, pack_numbers, scatter
+from bulletuav.compiled.gather import (
+    gathered,
+    gathered_at,
+    lane_numbers,
+    pack_numbers,
+    scatter,
+)
 from bulletuav.compiled.kernel import kernel
 from bulletuav.compiled.lanes import WIDTH, where
 
@@ -49,3 +55,16 @@ def test_the_last_drone_stands_for_those_that_lack():
     pack_numbers(given, packed)
     order = np.minimum(np.arange(2 * WIDTH), 9).reshape(2, WIDTH)
     np.testing.assert_array_equal(packed, given.reshape(10, 3)[order].transpose(0, 2, 1))
+
+
+@kernel
+def of_places(given, places, row, offset, out):
+    scatter(out, 0, WIDTH, gathered_at(given, places, row, offset))
+
+
+def test_numbers_from_any_places():
+    rng = np.random.default_rng(0)
+    given, out = rng.normal(size=(3, 4, 5)), np.zeros((1, WIDTH))
+    places = rng.integers(0, 57, (2, WIDTH))
+    of_places(given, places, 1, 3, out)
+    np.testing.assert_array_equal(out[0], given.reshape(-1)[places[1] + 3])
