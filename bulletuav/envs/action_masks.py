@@ -53,10 +53,10 @@ class ActionMasks:
     """Valid moves of discrete actions, by a prediction of one decision.
 
     Staying (choice 0) is always valid. Another move is valid if after one decision of it the drone
-    can still stop inside the arena, or if it brings the drone no closer to the bounds than staying
-    does. The prediction is made for each side of the arena. A drone at velocity v that is commanded
-    the velocity u has in the decision of duration T the outward speed w, the larger one of v and
-    u + (v - u) exp(-T / lag), and stops after
+    can still stop inside the arena, or if it flies no faster outwards then than after staying. The
+    prediction is made for each side of the arena. A drone at velocity v that is commanded the
+    velocity u has after the decision of duration T the velocity u + (v - u) exp(-T / lag). With w,
+    the larger one of the outward speeds before and after the decision, it stops after
 
         d = w (T + lag + delay + s / (2 deceleration)),
 
@@ -71,7 +71,12 @@ class ActionMasks:
     """
 
     def __init__(
-        self, action: Action, task: Task[Any], radius: np.ndarray, response: Response, period: float
+        self,
+        action: Action,
+        task: Task[Any],
+        radius: np.ndarray,
+        response: Response,
+        period: np.ndarray,
     ) -> None:
         """Precompute what does not depend on the state.
 
@@ -80,7 +85,7 @@ class ActionMasks:
             task: The task, which has the arena and speed limits.
             radius: (N,) collision radii, m.
             response: Response of the drones.
-            period: Duration of a decision, s.
+            period: (N,) time for which the drones hold a move, s.
         """
         drones = len(action.labels)
         choices = np.arange(action.choices or 0, dtype=float)
@@ -122,7 +127,8 @@ class ActionMasks:
         fastest = np.maximum(np.abs(now), np.abs(later))
         valid = np.ones(later.shape[:3], dtype=bool)
         for outward, margin in ((1.0, self._high - position), (-1.0, position - self._low)):
-            speed = np.maximum(np.maximum(outward * now, outward * later), 0.0)
+            ends = outward * later
+            speed = np.maximum(np.maximum(outward * now, ends), 0.0)
             for axis in range(3):
                 others = fastest.copy()
                 others[..., axis] = speed[..., axis]
@@ -131,8 +137,8 @@ class ActionMasks:
                 with np.errstate(divide="ignore", invalid="ignore"):
                     braking = np.where(own > 0, own * total / (2.0 * self._deceleration), 0.0)
                 needed = (own * self._time + braking)[..., 0]
-                room = np.maximum(margin[..., axis, None], needed[..., STAY : STAY + 1])
-                valid &= needed <= room
+                slows = ends[..., axis] <= ends[..., STAY : STAY + 1, axis]
+                valid &= (needed <= margin[..., axis, None]) | slows
         valid[~present] = False
         valid[..., STAY] = True
         return valid.astype(np.int8)

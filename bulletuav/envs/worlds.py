@@ -119,7 +119,9 @@ class Worlds(Parts):
         radius = np.array([airframe.collision_radius for airframe in options.airframe])
         drive = (self.dynamics.consumes, options.dynamics_name, options.gravity)
         response = response_of(self.cascade.gains[0, : options.num_drones], *drive)
-        return ActionMasks(action, self.task, radius, response, 1 / options.decision_hz)
+        every = 1 if self.spec.decision_every is None else self.spec.decision_every
+        period = np.broadcast_to(every / options.decision_hz, radius.shape)
+        return ActionMasks(action, self.task, radius, response, period)
 
     def action_masks(self) -> np.ndarray:
         """Compute the masks of discrete actions, (W, N, C) int8; needs the option."""

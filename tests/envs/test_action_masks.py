@@ -44,6 +44,36 @@ def test_random_flight_leaves_the_arena_only_without_masks(dynamics, action):
     assert fly_at_random(made(action, 4, dynamics=dynamics)) == (0, 0)
 
 
+def test_a_drone_that_flies_straight_while_it_may_stays_inside():
+    """At cruise speed staying needs as much space as flying on: only the end speeds differ."""
+    options = {"num_drones": 1, "num_obstacles": 0, "horizon": 400, "dynamics": "rigid_body"}
+    aviary = bulletuav.Aviary("navigation", 12, action="discrete", action_masks=True, **options)
+    aviary.reset(seeds=3)
+    moves = np.repeat(np.arange(1, 7), 2)[:, None]
+    while aviary.alive.any():
+        valid = np.take_along_axis(aviary.action_masks()[:, 0], moves, axis=-1)
+        aviary.step(np.where(valid, moves, 0)[:, None].astype(float))
+        place = aviary.swarm.position[:, 0]
+        assert ((place > aviary.task.arena_low) & (place < aviary.task.arena_high)).all()
+    aviary.close()
+
+
+def test_a_team_that_decides_less_often_holds_its_move_longer():
+    options = {"action": "discrete", "action_masks": True, "dynamics": "single_integrator"}
+    rates = {"chasers": 1, "evaders": 4}
+    aviary = bulletuav.Aviary("pursuit_evasion", decision_every=rates, **options)
+    aviary.reset(seeds=0)
+    radius = np.array([one.collision_radius for one in aviary.options.airframe])
+    # The distance of one move, times the decisions for which it is held
+    speed = aviary.worlds.masks.velocity[:, 1, 0]
+    path = speed / aviary.options.decision_hz * np.where(aviary.task.team == 1, 4, 1)
+    for extra, valid in ((0.01, 1), (-0.01, 0)):
+        aviary.swarm.position[0] = (aviary.task.arena_low + aviary.task.arena_high) / 2
+        aviary.swarm.position[0, :, 0] = aviary.task.arena_high[0] - radius - path - extra
+        assert (aviary.action_masks()[0, :, 1] == valid).all()
+    aviary.close()
+
+
 def test_a_move_is_invalid_where_one_decision_leads_beyond_the_bound():
     """Drones that follow immediately fly 2 m in a decision of 0.1 s at 20 m/s."""
     aviary = made(num_drones=1, decision_hz=10, max_speed=20.0)
