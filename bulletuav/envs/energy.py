@@ -35,7 +35,7 @@ class Energy:
     """Power of all drones, and their batteries.
 
     With the option `energy` "zeng" power follows from the rotary-wing formula, at the velocity
-    relative to the air, and from the present mass and gravity. With "actuator", and always if the
+    relative to the air, from the present mass and gravity, and the pull of cables. With "actuator", and always if the
     option `gravity` is 0, it is the power of the simulated rotors. Both are electrical, with the
     losses of the airframe's motors.
 
@@ -111,6 +111,7 @@ class Energy:
         wind: np.ndarray,
         payload: np.ndarray,
         flown: np.ndarray,
+        pull: np.ndarray,
         charging: np.ndarray | None = None,
     ) -> None:
         """Add to a program that a decision drains the batteries, and charges them.
@@ -122,6 +123,7 @@ class Energy:
             wind: (W, N, 3) wind during the decision, m/s.
             payload: (W, N) power of equipment in addition to flight, W.
             flown: (W, N) bool, drones active before the decision; only their batteries are drained.
+            pull: (W, N) force of cables on the drones, downwards, N.
             charging: (W, N) power that charges the batteries, W; None if nothing does.
         """
         if self._wings is None:
@@ -130,7 +132,7 @@ class Energy:
             program.call(_add_losses, self._parameters, self.power)
         else:
             velocities = (before.velocity, after.velocity, wind)
-            given = (self._numbers, self._gravity, self._wings, self._packed)
+            given = (self._numbers, self._gravity, pull, self._wings, self._packed)
             program.call(_fill_propulsion, *velocities, *given, self.power)
         program.call(_add_payload, payload, flown, self.power)
         battery, net = self._battery, self.power
@@ -171,6 +173,7 @@ def _fill_propulsion(
     wind: np.ndarray,
     numbers: np.ndarray,
     gravity: np.ndarray,
+    pull: np.ndarray,
     wings: np.ndarray,
     packed: np.ndarray,
     power: np.ndarray,
@@ -183,6 +186,7 @@ def _fill_propulsion(
         wind: Velocity of the air, m/s.
         numbers: (W, N, P) numbers of the rows of `PARAMETERS`.
         gravity: (W, N) gravitational acceleration that acts on the drones, m/s^2.
+        pull: (W, N) force of cables on the drones, downwards, N.
         wings: (W, N) rows of `ROTARY_WING`.
         packed: (B, numbers, `WIDTH`) the same rows, block by block.
         power: Written.
@@ -197,7 +201,8 @@ def _fill_propulsion(
             (begin[2] + end[2]) / 2 - air[2],
         )
         wing = lanes_row(wings, packed, b)
-        load = gathered(numbers, first, MASS) * gathered(gravity, first, 0) / wing.weight
+        weight = gathered(numbers, first, MASS) * gathered(gravity, first, 0)
+        load = (weight + gathered(pull, first, 0)) / wing.weight
         count = min(power.size - first, WIDTH)
         scatter(power, first, count, propulsion_power(velocity, wing, load))
 

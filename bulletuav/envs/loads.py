@@ -121,6 +121,18 @@ class LoadFlight:
         gravity[:] = dynamics.local_gravity[:, :drones]
         dynamics.supply[:, :drones] = supply
 
+    def fill_pull(self, pull: np.ndarray) -> None:
+        """Write the force (W, N) of the cables on the drones, downwards, N.
+
+        It is that of the last substep, in the direction of the cables after it.
+        """
+        memory = self._state.scene.memory
+        along = self._loads.find_ends(memory) - self._state.swarm.position[:, self._owner]
+        length = np.sqrt((along * along).sum(axis=-1))
+        down = memory[TENSION] * -along[..., 2] / np.maximum(length, 1e-9)
+        pull[:] = 0.0
+        np.add.at(pull, (slice(None), self._owner), down)
+
     def show(self, swarm: Swarm, mask: np.ndarray) -> tuple[Swarm, np.ndarray]:
         """Return the state of drones with that of the loads, and which bodies are shown.
 

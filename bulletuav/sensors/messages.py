@@ -96,8 +96,8 @@ class Jammer:
 class Channel:
     """Radio channel for messages that are part of each drone's action.
 
-    In each decision a drone broadcasts a message to all others, which observe it as "messages"
-    after its delay. A message is lost beyond the range, with the probability `loss`, without line
+    In each of its decisions a drone broadcasts a message to all others, which observe it as
+    "messages" after its delay. A message is lost beyond the range, with the probability `loss`, without line
     of sight if that is required, or if a jammer is too near.
 
     Attributes:
@@ -108,7 +108,7 @@ class Channel:
         delay: Delay, s, rounded up to whole decisions.
         bandwidth: Bits that a drone can send per second. A message has 32 bits for each number, or
             log2(tokens), rounded up, for each token. If that is too much, drones send in every k-th
-            decision, with the smallest possible k.
+            of their decisions, with the smallest possible k.
         line_of_sight: Whether buildings and obstacles block messages.
         jammer: Source of interference, or a dict of its attributes.
     """
@@ -299,7 +299,9 @@ class Messages(Sensor):
         super().attach(setup, engine)
         (worlds, drones), channel = setup.shape, self.channel
         self._late = _ceil(channel.delay / setup.period)
-        self._every = channel.decisions_between(setup.period)
+        # Drones send decisions of their own only, not those that they hold
+        every = np.ones(drones, int) if setup.decision_every is None else setup.decision_every
+        self._every = np.array([k * channel.decisions_between(k * setup.period) for k in every])
         # In transit, latest first
         self._message = np.zeros((self._late + 1, worlds, drones, channel.size))
         self._sent = np.zeros((self._late + 1, worlds, drones), dtype=bool)

@@ -8,6 +8,7 @@ from bulletuav.compiled.gather import pack_numbers
 from bulletuav.compiled.lanes import WIDTH, lane_zeros
 from bulletuav.envs.energy import _fill_propulsion
 from bulletuav.envs.events import Event
+from bulletuav.policies import find_policy
 from bulletuav.vehicle.airframe import STANDARD_GRAVITY as G
 from bulletuav.vehicle.airframes import load_airframe
 from bulletuav.vehicle.parameters import parameter_rows
@@ -36,17 +37,23 @@ def test_power_in_lanes_has_the_bits_of_drones_one_by_one():
     rows = np.tile(parameter_rows((CF2X,) * 3, ()), (7, 1))
     rows["mass"] = wings["weight"] / 8
     numbers, gravity = rows.view(float).reshape(7, 3, -1), np.full((7, 3), 8.0)
-    _fill_propulsion(before, after, wind, numbers, gravity, wings, packed, power)
+    pull = np.zeros((7, 3))
+    _fill_propulsion(before, after, wind, numbers, gravity, pull, wings, packed, power)
     np.testing.assert_array_equal(power, propulsion((before + after) / 2 - wind, wings))
     # Twice the mass, and half the gravity
     rows["mass"] *= 2
-    _fill_propulsion(before, after, wind, numbers, gravity / 2, wings, packed, power)
+    _fill_propulsion(before, after, wind, numbers, gravity / 2, pull, wings, packed, power)
     np.testing.assert_array_equal(power, propulsion((before + after) / 2 - wind, wings))
-    _fill_propulsion(before, after, wind, numbers, gravity, wings, packed, power)
+    _fill_propulsion(before, after, wind, numbers, gravity, pull, wings, packed, power)
     one_by_one = [
         [propulsion_power(tuple(v), wing, 2.0) for v, wing in zip(*row, strict=True)]
         for row in zip((before + after) / 2 - wind, wings, strict=True)
     ]
+    np.testing.assert_array_equal(power, one_by_one)
+    # A cable that pulls by the weight of the drone
+    rows["mass"] /= 2
+    pull[:] = wings["weight"]
+    _fill_propulsion(before, after, wind, numbers, gravity, pull, wings, packed, power)
     np.testing.assert_array_equal(power, one_by_one)
 
 
@@ -73,6 +80,19 @@ def test_an_added_mass_drains_the_battery_by_the_power_of_the_whole_weight():
     assert powers[2] == pytest.approx([heavy, hover])
     used = np.array([2 * hover + 3 * heavy, 5 * hover]) * 0.1 / 3600
     assert charges[-1] == pytest.approx(1.0 - used)
+
+
+def test_a_load_on_a_cable_costs_the_power_of_its_weight():
+    aviary = bulletuav.Aviary("transport", energy="zeng")
+    policy, seen = find_policy("transport_lift")(aviary), aviary.reset(seeds=0)
+    policy.reset(np.ones(1, dtype=bool))
+    for _ in range(240):
+        seen = aviary.step(policy.act(seen, aviary.swarm)).observations
+    airframe = aviary.options.airframe[0]
+    load = 1 + aviary.task.config.load_mass / airframe.mass
+    expected = propulsion_power((0.0, 0.0, 0.0), airframe_wing(airframe), load)
+    assert aviary.readings["power"][0] == pytest.approx(expected, rel=0.02)
+    aviary.close()
 
 
 def test_power_follows_randomized_mass_and_gravity():

@@ -23,5 +23,8 @@ class DrainBatteries(Stage):
         if task.overrides_method("charging_power"):
             charging = given = np.zeros(state.payload.shape)
             program.callback(lambda: np.copyto(given, task.charging_power(state.scene)))
-        taken = (state.wind, state.payload, state.flown, charging)
+        pull = np.zeros(state.payload.shape)
+        if worlds.loads is not None:
+            program.callback(lambda: worlds.loads.fill_pull(pull))
+        taken = (state.wind, state.payload, state.flown, pull, charging)
         worlds.energy.add_to(program, state.before, state.swarm, *taken)
