@@ -131,10 +131,10 @@ def save(recording: Recording, aviary: Aviary, policy: str, seed: int, folder: P
         "seed": seed,
         "options": {
             **describe_options(aviary.options, aviary.task.config),
-            **_events(aviary),
+            **_events(recording, aviary),
         },
         # `bulletuav verify` repeats this call and compares the hashes
-        "call": _call(aviary, policy, seed),
+        "call": _call(recording, aviary, policy, seed),
     }
     return write_run(recording, folder, about)
 
@@ -182,20 +182,23 @@ def write_run(
     return written
 
 
-def _call(aviary: Aviary, policy: str, seed: int) -> str | None:
+def _call(recording: Recording, aviary: Aviary, policy: str, seed: int) -> str | None:
     """Format the call that repeats the flight; see `format_call`."""
     (task, *_), options = aviary.made_from
     given = {name: value for name, value in options.items() if name not in UNRECORDED_OPTIONS}
     if aviary.worlds.schedule.log[0] is None:
         return None
-    given |= _events(aviary)
+    given |= _events(recording, aviary)
     flown = {"task": task, "policy": policy, "seed": seed, "num_worlds": aviary.num_worlds}
     return format_call({**flown, "options": given})
 
 
-def _events(aviary: Aviary) -> dict[str, Any]:
+def _events(recording: Recording, aviary: Aviary) -> dict[str, Any]:
     """Return the option `events` that repeats the changes in world 0, if there were any."""
-    events = (*aviary.options.events, *(aviary.worlds.schedule.log[0] or ()))
+    # A change after the last decision has no effect, and may be at the end of the episode
+    end = float(recording.time[-1]) - 0.5 / aviary.options.decision_hz
+    log = aviary.worlds.schedule.log[0] or ()
+    events = (*aviary.options.events, *(event for event in log if event.time_bounds[0] < end))
     return {"events": [event.described() for event in events]} if events else {}
 
 

@@ -26,6 +26,7 @@ from bulletuav.envs.airspace_inputs import (
     setpoint_numbers,
     setpoint_widths,
     state_numbers,
+    without_loads,
 )
 from bulletuav.envs.airspace_simulation import AirspaceSimulation
 from bulletuav.envs.airspace_world import ALL, AirspaceWorld
@@ -145,6 +146,7 @@ class Airspace(Environment):
         self._held = (state.levels, state.setpoint, state.commanded)
         self._widths = setpoint_widths(self.consumes, known, self.hover_speed.shape[1])
         self._turns = False
+        self._has_loads = any(one.is_load for one in self.airframes)
         world.wind.reset(0, self.rng)
         world.uncertainty.reset(0, self.rng)
         self.place(None, position, quaternion, rotor_speed=rotor_speed)
@@ -422,7 +424,8 @@ class Airspace(Environment):
         """Command setpoints, which the drones hold from the next step on.
 
         Args:
-            drones: Index of a drone, several indices, a mask (N,), or None for all.
+            drones: Index of a drone, several indices, a mask (N,), or None for all; loads, which
+                have no rotors, cannot be commanded, and None leaves them out.
             level: Setpoint level or its name; `consumes` or a level above.
             setpoint: Numbers of the level, see `SetpointLevel`: (S,) for all, or a row for each of
                 the drones. With POSITION, VELOCITY and ACCELERATION the yaw may be left out. Values
@@ -437,6 +440,8 @@ class Airspace(Environment):
                 unchanged.
         """
         self._require_open()
+        if self._has_loads:
+            drones = without_loads(drones, self.airframes)
         # Fast path: compiled code checks and stores the usual arguments
         if yaw is None and yaw_rate is None and not self._turns and type(level) is SetpointLevel:
             width = self._widths.get(level)

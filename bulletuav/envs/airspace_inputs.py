@@ -31,6 +31,7 @@ from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.geometry.solids import Solids
 from bulletuav.sensors.base import Sensor
 from bulletuav.sensors.suite import find_sensor, known_sensors
+from bulletuav.vehicle.airframe import Airframe
 
 Drones = int | Sequence[int] | np.ndarray | None
 """Index of one drone, several indices, a mask (N,), or None for all"""
@@ -59,6 +60,7 @@ NUMBER_TYPES = frozenset((float, int))
 TASK_OPTIONS = (
     "num_drones",
     "min_drones",
+    "decision_every",
     "action",
     "action_masks",
     "communication",
@@ -189,6 +191,24 @@ def rows_of(drones: Drones, count: int) -> tuple[Any, tuple[int, ...]]:
             f"a mask of {count}, or None for all is needed"
         )
     return (rows, rows.shape) if rows.ndim else (int(rows), ())
+
+
+def without_loads(drones: Drones, airframes: Sequence[Airframe]) -> Drones:
+    """Return a selection of drones that can be commanded; for None all but the loads.
+
+    Raises:
+        ValueError: If there is no such drone, or a load is among them.
+    """
+    are_loads = np.array([one.is_load for one in airframes])
+    if drones is None:
+        return np.flatnonzero(~are_loads)
+    rows, _ = rows_of(drones, len(airframes))
+    if are_loads[rows].any():
+        raise ValueError(
+            f"drones is {shown(drones)}, and {np.flatnonzero(are_loads).tolist()} are loads, which "
+            f"have no rotors: command drones only"
+        )
+    return drones
 
 
 def numbers(name: str, value: Any) -> np.ndarray:

@@ -126,8 +126,9 @@ def _effectiveness(value: Any, num_rotors: np.ndarray, count: tuple[int, ...]) -
 def _shaped(name: str, value: Any, shape: tuple[int, ...], unit: str) -> np.ndarray:
     """Return numbers of a shape, or of its last axis."""
     array = numbers_of(f"{name} is", value)
-    if array.shape not in (shape, shape[-1:] if name == "added_inertia" else ()):
-        raise ValueError(f"{name} has shape {array.shape}: {shape} is needed")
+    for_all = shape[-1:] if name == "added_inertia" else ()
+    if array.shape not in (shape, for_all):
+        raise ValueError(f"{name} has shape {array.shape}: {for_all or shape} is needed")
     if not (np.abs(array) <= MAX_ADDED).all():
         raise ValueError(f"{name} is {shown(value)}: finite numbers in {unit} are needed")
     return array

@@ -35,9 +35,9 @@ class Energy:
     """Power of all drones, and their batteries.
 
     With the option `energy` "zeng" power follows from the rotary-wing formula, at the velocity
-    relative to the air, from the present mass and gravity, and the pull of cables. With "actuator", and always if the
-    option `gravity` is 0, it is the power of the simulated rotors. Both are electrical, with the
-    losses of the airframe's motors.
+    relative to the air, from the present mass and gravity, and from the pull of cables. With
+    "actuator", and always if the option `gravity` is 0, it is the power of the simulated rotors.
+    Both are electrical, with the losses of the airframe's motors.
 
     Attributes:
         power: (W, N) mean power over the last decision, W.

@@ -15,6 +15,7 @@ from bulletuav.dynamics import find_dynamics
 from bulletuav.envs.bodies import count_bodies
 from bulletuav.envs.cables import require_cables
 from bulletuav.envs.global_state import GlobalState
+from bulletuav.envs.loads import require_lift
 from bulletuav.envs.options import EnvOptions, check_names
 from bulletuav.envs.parts import sensor_setup
 from bulletuav.envs.resolve_options import resolve_options
@@ -104,6 +105,8 @@ class EnvSpec:
         places = (getattr(self.task.config, name, None) for name in PLACES)
         given = read_given_positions(self.task, *places)
         self.given = DRAWN if given.is_empty else GivenStart(given)
+        if self.task.loads is not None:
+            require_lift(self.task.loads, self.options)
         self.action = _make_action(self.options, self.task)
         rates = self.options.decision_every
         self.decision_every = (

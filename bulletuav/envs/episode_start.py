@@ -17,6 +17,7 @@ from bulletuav.tasks.base import Task
 from bulletuav.tasks.frame import FIELDS, Spawn
 from bulletuav.tasks.frame_measures import FrameMeasures
 from bulletuav.tasks.given import DRAWN, GivenStart
+from bulletuav.tasks.parts.loads import POSITION, QUATERNION
 from bulletuav.tasks.spawns import MEMORY, SpawnBuffer
 
 STALE_FIELDS = frozenset(
@@ -128,9 +129,13 @@ class EpisodeStart:
         for k, rng in enumerate(generators):
             for _ in range(MAX_TRIES):
                 slots = bodies.draw(rng)
-                places = (rows["position"][k], rows["quaternion"][k])
+                position, quaternion = rows["position"][k], rows["quaternion"][k]
+                count = len(position)
+                if task.loads is not None:
+                    position = np.append(position, rows[MEMORY + POSITION][k], axis=0)
+                    quaternion = np.append(quaternion, rows[MEMORY + QUATERNION][k], axis=0)
                 goal = rows["goal"][k] if task.has_goals else None
-                blocked = bodies.find_blocked(slots, *places, goal)
+                blocked = bodies.find_blocked(slots, position, quaternion, count, goal)
                 if not blocked:
                     break
                 (spawn,) = task.spawn_many([rng])

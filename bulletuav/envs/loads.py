@@ -8,9 +8,11 @@ from bulletuav.control.setpoint import Setpoints
 from bulletuav.dynamics.base import Dynamics
 from bulletuav.dynamics.cables import FREE, group_bodies, with_entries
 from bulletuav.engine.queries import LoadPoses
+from bulletuav.envs.options import EnvOptions
 from bulletuav.envs.state import State
 from bulletuav.tasks.parts.loads import (
     ATTACHED,
+    GRAVITY,
     POSITION,
     QUATERNION,
     RATES,
@@ -22,6 +24,8 @@ from bulletuav.tasks.parts.loads import (
 from bulletuav.vehicle.swarm import Swarm, get_state, set_state
 from bulletuav.vehicle.wind import Wind
 
+LIFT_MARGIN = 1.2
+"""Minimum ratio of the maximum thrust of drones to the weight of drones and load"""
 DroneRows = tuple[np.ndarray, np.ndarray, np.ndarray]
 """Parameters, supply and gravity (W, N) of drones; see `Dynamics`"""
 
@@ -31,6 +35,20 @@ def drone_rows(dynamics: Dynamics, num_drones: int) -> DroneRows:
     every = (dynamics.flight.parameters, dynamics.supply, dynamics.local_gravity)
     parameters, supply, gravity = (one[:, :num_drones].copy() for one in every)
     return parameters, supply, gravity
+
+
+def require_lift(loads: Loads, options: EnvOptions) -> None:
+    """Raise ValueError if drones cannot lift their load with a margin for motion."""
+    for m, load in enumerate(loads.loads):
+        drones = [options.airframe[one.drone] for one in loads.cables if one.load == m]
+        weight = options.gravity * (load.mass + sum(one.mass for one in drones))
+        thrust = sum(one.max_thrust for one in drones)
+        if drones and thrust < LIFT_MARGIN * weight:
+            raise ValueError(
+                f"load {m} has {load.mass:.3g} kg, and with its drones a weight of {weight:.3g} N: "
+                f"their thrust of {thrust:.3g} N has to be {LIFT_MARGIN:g} times as much; lower "
+                f"the mass of the load, or use a stronger airframe or more drones"
+            )
 
 
 class LoadFlight:
@@ -114,12 +132,13 @@ class LoadFlight:
         program.call(part_bodies, self.bodies, state.swarm, self._parts, tensions, results)
 
     def _update_rows(self) -> None:
-        """Copy parameters and gravity of drones from the dynamics, and the supply to it."""
+        """Copy parameters and gravity from the dynamics, and the supply of drones to it."""
         (parameters, supply, gravity), dynamics = self._rows, self._dynamics
         drones = supply.shape[1]
         parameters[:] = dynamics.flight.parameters[:, :drones]
         gravity[:] = dynamics.local_gravity[:, :drones]
         dynamics.supply[:, :drones] = supply
+        self._state.scene.memory[GRAVITY][:] = dynamics.local_gravity[:, drones:]
 
     def fill_pull(self, pull: np.ndarray) -> None:
         """Write the force (W, N) of the cables on the drones, downwards, N.
@@ -131,7 +150,7 @@ class LoadFlight:
         length = np.sqrt((along * along).sum(axis=-1))
         down = memory[TENSION] * -along[..., 2] / np.maximum(length, 1e-9)
         pull[:] = 0.0
-        np.add.at(pull, (slice(None), self._owner), down)
+        np.add.at(pull.T, self._owner, down.T)
 
     def show(self, swarm: Swarm, mask: np.ndarray) -> tuple[Swarm, np.ndarray]:
         """Return the state of drones with that of the loads, and which bodies are shown.

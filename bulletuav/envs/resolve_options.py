@@ -106,8 +106,13 @@ def resolve_options(task: type[Task[Any]], given: Mapping[str, Any]) -> Resolved
     for_all = {name: value for name, value in values.items() if name in common}
     for_task = {name: value for name, value in values.items() if name in own}
     options = EnvOptions(**for_all)
-    config = task.Config(**for_task)
-    return ResolvedOptions(options, _validate_config(config), sensors)
+    config = _validate_config(task.Config(**for_task))
+    for name, reason in config.idle_options(options.num_drones).items():
+        if name in given:
+            raise ValueError(
+                f"{name} is {shown(given[name])}, which has no effect, as {reason}: leave it out"
+            )
+    return ResolvedOptions(options, config, sensors)
 
 
 def _with_defaults(

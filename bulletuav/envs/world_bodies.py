@@ -94,14 +94,20 @@ class WorldBodies:
         return slots
 
     def find_blocked(
-        self, slots: Slots, position: np.ndarray, quaternion: np.ndarray, goal: np.ndarray | None
+        self,
+        slots: Slots,
+        position: np.ndarray,
+        quaternion: np.ndarray,
+        num_drones: int,
+        goal: np.ndarray | None,
     ) -> str:
         """Describe the first start in a body, or goal in a body that stands still, if any.
 
         Args:
             slots: Bodies of the world.
-            position: (N, 3) starts, m.
-            quaternion: (N, 4) attitudes at the starts.
+            position: (N + L, 3) starts of drones and loads, m.
+            quaternion: (N + L, 4) attitudes at the starts.
+            num_drones: N.
             goal: (N, 3) goals, m; None without goals.
 
         Returns:
@@ -109,7 +115,8 @@ class WorldBodies:
         """
         i = self._find(slots, position, quaternion)
         if i >= 0:
-            return f"the start of drone {i} at {position[i]} m"
+            what = f"drone {i}" if i < num_drones else f"load {i - num_drones}"
+            return f"the start of {what} at {position[i]} m"
         if goal is not None:
             still = {
                 b: body
@@ -124,7 +131,7 @@ class WorldBodies:
         return ""
 
     def _find(self, slots: Slots, position: np.ndarray, quaternion: np.ndarray) -> int:
-        """Return the first drone that would overlap a body, or -1."""
+        """Return the first drone or load that would overlap a body, or -1."""
         # Its own arrays of one world, so that the worlds do not change
         scenery, count = self._engine.scenery, self._engine.scenery.place.shape[1]
         bodies = scenery.bodies._replace(

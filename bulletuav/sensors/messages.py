@@ -64,10 +64,11 @@ class Jammer:
         for name in ("power", "min_ratio"):
             value = finite(f"{name} of a jammer", getattr(self, name), -100.0, 100.0)
             object.__setattr__(self, name, value)
-        if (len(points) > 1) != (self.speed > 0):
+        different = len(np.unique(points, axis=0))
+        if (len(points) > 1) != (self.speed > 0) or (different == 1 and len(points) > 1):
             raise ValueError(
-                f"speed of a jammer is {self.speed:g} m/s, and its path has {len(points)} points: "
-                f"a moving jammer needs a speed above 0 and two points or more"
+                f"speed of a jammer is {self.speed:g} m/s, and its path has {different} different "
+                f"points: a moving jammer needs a speed above 0 and two of them or more"
             )
 
     @property
@@ -97,8 +98,8 @@ class Channel:
     """Radio channel for messages that are part of each drone's action.
 
     In each of its decisions a drone broadcasts a message to all others, which observe it as
-    "messages" after its delay. A message is lost beyond the range, with the probability `loss`, without line
-    of sight if that is required, or if a jammer is too near.
+    "messages" after its delay. A message is lost beyond the range, with the probability `loss`,
+    without line of sight if that is required, or if a jammer is too near.
 
     Attributes:
         size: Number of numbers, or of tokens, in a message.

@@ -54,5 +54,18 @@ class TaskConfig:
             if isinstance(value, np.ndarray) and value.ndim == 2:
                 object.__setattr__(self, name, tuple(map(tuple, value.tolist())))
 
+    def idle_options(self, num_drones: int) -> Mapping[str, str]:
+        """Return the options that have no effect with these values, and why.
+
+        A user who sets one of them gets a ValueError; defaults and difficulties may set them.
+
+        Args:
+            num_drones: Maximum number of drones of an episode.
+
+        Returns:
+            The reason of each option, such as {"leader_turn": "leader is False"}.
+        """
+        return {}
+
 
 ConfigT = TypeVar("ConfigT", bound=TaskConfig)

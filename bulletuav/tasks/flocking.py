@@ -92,6 +92,10 @@ class FlockingConfig(AirspaceOptions, FlightConfig):
     jitter: float = 0.5
     at_goal: Literal["hold"] = "hold"
 
+    def idle_options(self, num_drones: int) -> Mapping[str, str]:
+        """Return the turns of a leader that does not exist; see `TaskConfig.idle_options`."""
+        return {} if self.leader else {"leader_turn": "leader is False"}
+
 
 @reward
 def flocking(finished: bool) -> float:

@@ -77,6 +77,11 @@ class PadLandingConfig(TaskConfig):
     pad_tilt: float = field(default=0.0, metadata={"most": 0.5})
     pad_period: float = field(default=4.0, metadata={"most": 1000.0})
 
+    def idle_options(self, num_drones: int) -> Mapping[str, str]:
+        """Return the sizes of motions that pads do not do; see `TaskConfig.idle_options`."""
+        idle = {} if self.pad_speed else {"pad_circle": "pad_speed is 0"}
+        return idle if self.pad_tilt else {**idle, "pad_period": "pad_tilt is 0"}
+
 
 @end
 def has_pad(has_pad: float) -> bool:
@@ -109,9 +114,9 @@ def clear(landing: float, is_safe: bool, safety_factor: float) -> float:
 
 
 @reward
-def touching(stable_time: float) -> float:
-    """1 in stable contact with an unclaimed pad."""
-    return 1.0 if stable_time > 0.0 else 0.0
+def touching(stable_growth: float, period: float) -> float:
+    """1 in stable contact with an unclaimed pad, if the contact is the longest so far."""
+    return stable_growth / period
 
 
 @reward
@@ -158,7 +163,7 @@ class PadLanding(Task[PadLandingConfig]):
     - landing 45: 1 on claiming a pad, without conflict or collision before.
     - early 45: then 1 up to 1.06 times the time of a straight flight, linear to 0 at the horizon.
     - clear 10: then 1 if no other drone was within 1 m, linear to 0 at d_safe.
-    - touching 0: 1 in stable contact with an unclaimed pad.
+    - touching 0: 1 in stable contact with an unclaimed pad, if it is the longest so far.
     - waiting -0.01: 1 per decision until then; on other ends also 1 per remaining decision.
     - conflict -10: number of drones whose separation falls below d_safe = 0.4 m.
     - collision -10: 1 on contact, except landings on pads and platforms.
@@ -255,7 +260,7 @@ class PadLanding(Task[PadLandingConfig]):
         "collision": -10.0,
         "out_of_bounds": -10.0,
     }
-    # Paid for stable contact, drones learn the last centimetres
+    # Paid for longer contact than before, drones learn the last centimetres
     training_weights: ClassVar[Mapping[str, float]] = {
         "progress": 0.2,
         "landing": 5.0,
@@ -354,10 +359,12 @@ class PadLanding(Task[PadLandingConfig]):
         Returns:
             "clue" (3,), m; "target_time" (N,), time for a perfect score, s; "closest" (N,),
             smallest separation so far, at most `zone`, m; "progress" (N,), see `progress`; "aim"
-            (N,), index of the nearest unclaimed pad.
+            (N,), index of the nearest unclaimed pad; "longest_stable" (N,), longest time of stable
+            contact so far, s, and "stable_growth" (N,), its growth in the decision, s.
         """
         drones = (self.context.num_drones,)
-        own = dict.fromkeys(("target_time", "closest", "progress", "aim"), drones)
+        names = ("target_time", "closest", "progress", "aim", "longest_stable", "stable_growth")
+        own = dict.fromkeys(names, drones)
         return {**super().memory(), "clue": (3,), **own}
 
     def memory_bounds(self) -> Mapping[str, tuple[Any, Any]]:
@@ -455,6 +462,9 @@ class PadLanding(Task[PadLandingConfig]):
         memory["progress"][:] = np.where(frame.alive, before - frame.distance, 0.0)
         closest = np.minimum(memory["closest"], frame.conflict.separation)
         memory["closest"][:] = np.where(frame.alive, closest, memory["closest"])
+        longest = np.maximum(memory["longest_stable"], memory["stable_time"])
+        memory["stable_growth"][:] = longest - memory["longest_stable"]
+        memory["longest_stable"][:] = longest
         self._aim(frame)
 
     def quantities(self) -> Mapping[str, Any]:

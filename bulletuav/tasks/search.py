@@ -85,6 +85,11 @@ class SearchConfig(CityOptions, TaskConfig):
     ceiling: float = 40.0
     min_separation: float = 5.0
 
+    def idle_options(self, num_drones: int) -> Mapping[str, str]:
+        """Return those of cities, and the radio of a single drone; see `TaskConfig`."""
+        idle = super().idle_options(num_drones)
+        return {**idle, "radio_range": "num_drones is 1"} if num_drones == 1 else idle
+
 
 @reward
 def found(newly_found: float) -> float:

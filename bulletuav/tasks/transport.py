@@ -19,6 +19,7 @@ from bulletuav.tasks.ingredients import end, reward
 from bulletuav.tasks.parts.base import Rngs
 from bulletuav.tasks.parts.loads import (
     ATTACHED,
+    GRAVITY,
     POSITION,
     QUATERNION,
     RATES,
@@ -265,8 +266,8 @@ class Transport(Task[TransportConfig]):
         self.safety = self.add(Safety(drones))
         size, points, self._beside = lay_out(shape, drones)
         self._half = np.array(size) / 2
-        load = make_load(Obstacle("box", size), config.load_mass * drones)
-        self.weight = config.load_mass * drones
+        self.mass = config.load_mass * drones
+        load = make_load(Obstacle("box", size), self.mass)
         cables = [
             LoadCable(i, 0, tuple(point), config.cable_length)
             for i, point in enumerate(points.tolist())
@@ -377,7 +378,8 @@ class Transport(Task[TransportConfig]):
         memory["grounded"][:], memory["sink"][:] = grounded, np.maximum(-velocity[:, 2], 0.0)
         carried = memory[TENSION].sum(axis=-1)
         stands = grounded & (distance <= self.config.place_radius) & (speed <= REST_SPEED)
-        stands &= (spin <= REST_SPIN) & (carried <= SLACK_SHARE * self.weight * 9.8)
+        weight = self.mass * memory[GRAVITY][:, 0]
+        stands &= (spin <= REST_SPIN) & (carried <= SLACK_SHARE * weight)
         standing = np.where(stands & flying, memory["standing"] + self.context.period, 0.0)
         memory["standing"][:] = standing
         lost = ((frame.collision | self.outside(frame)) & frame.alive).any(axis=1)

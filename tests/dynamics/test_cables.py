@@ -504,3 +504,16 @@ def test_other_dynamics_refuse_cables_and_loads():
         Airspace(places, ["cf2x", ball(0.1)], dynamics="point_mass")
     with pytest.raises(ValueError, match="there is a load: use contacts 'impulse'"):
         Airspace(places, ["cf2x", ball(0.1)], dynamics="bullet", contacts="bullet")
+
+
+def test_loads_cannot_be_commanded(team):
+    airspace, above, _ = team
+    held = airspace.setpoint[8].copy()
+    for drones in (8, [0, 8], np.arange(9) == 8):
+        with pytest.raises(ValueError, match=r"\[8\] are loads, .* command drones only"):
+            airspace.command(drones, SetpointLevel.POSITION, (0.0, 0.0, 1.0))
+    airspace.command(None, SetpointLevel.POSITION, above)
+    np.testing.assert_array_equal(airspace.setpoint[:8, :3], above)
+    airspace.stop()
+    assert not airspace.setpoint[:8].any()
+    np.testing.assert_array_equal(airspace.setpoint[8], held)

@@ -452,6 +452,7 @@ def test_what_cannot_be_is_refused_and_changes_nothing(call, message):
         ({"decision_hz": 7}, "decision_hz 7 does not divide physics_hz 240"),
         ({"dynamcs": "bullet"}, "unknown option of Airspace: 'dynamcs': did you mean 'dynamics'"),
         ({"horizon": 3}, "unknown option of Airspace: 'horizon'"),
+        ({"decision_every": {"drones": 2}}, "unknown option of Airspace: 'decision_every'"),
         ({"sensors": ("gsp",)}, "unknown sensor 'gsp': did you mean 'gps'"),
         ({"sensors": ("imu", "imu")}, "sensors has 'imu' 2 times"),
         ({"obstacles": ["box"]}, "obstacles is .* a list of `Obstacle`"),

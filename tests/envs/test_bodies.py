@@ -53,6 +53,14 @@ def test_the_lidar_sees_a_wall_that_comes_nearer():
     np.testing.assert_allclose(seen, 29.9 - 1.5 * period * np.arange(3), atol=1e-4)
 
 
+def test_loads_start_clear_of_bodies():
+    box = Body(Obstacle("box", (0.1, 0.1, 0.1)), (0.0, 0.0, 0.1))
+    aviary = bulletuav.Aviary("transport", bodies=[box])
+    with pytest.raises(ValueError, match="the start of load 0 .* is in a body"):
+        aviary.reset(seeds=0)
+    aviary.close()
+
+
 def test_a_drone_that_a_body_hits_has_collided_with_it():
     aviary = bulletuav.Aviary("hover", num_drones=1, dynamics="rigid_body", bodies=[])
     aviary.reset(seeds=0)

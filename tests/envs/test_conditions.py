@@ -365,6 +365,7 @@ def test_a_run_with_events_is_recorded_and_verified(tmp_path):
         ([{"time": 1.0, "charge": 1.5}], "charge of an event is"),
         ([{"time": 1.0, "added_mass": 1.0}], "from 0.1 to 10 times"),
         ([{"time": 1.0, "rotor_effectiveness": (1, 1, 1)}], r"\(4,\) is needed"),
+        ([{"time": 1.0, "added_inertia": (1.0, 1.0)}], r"has shape \(2,\): \(3,\) is needed"),
         (5, "a list or tuple is needed"),
         ([5], "an Event, or a dict"),
     ],

@@ -140,6 +140,14 @@ BAD = [
     ("crossing", {"start_speed": (float("nan"), 1.0)}, "start_speed"),
     ("crossing", {"reward": "trainin"}, "unknown reward 'trainin': did you mean 'training'"),
     ("crossing", {"reward": np.zeros(3)}, "reward is .*'benchmark', 'training', or a dict"),
+    ("flocking", {"leader": False, "leader_turn": 0.2}, "no effect, as leader is False: leave it"),
+    ("pad_landing", {"pad_circle": 2.0}, "pad_circle is 2.0, .* as pad_speed is 0"),
+    ("pad_landing", {"pad_period": 2.0, "pad_speed": 0.5}, "no effect, as pad_tilt is 0"),
+    ("patrol", {"charging_pads": 0, "pad_power": 100.0}, "no effect, as charging_pads is 0"),
+    ("coverage", {"pad_radius": 1.0}, "no effect, as charging_pads is 0"),
+    ("coverage", {"city": "hills", "irregularity": 0.5}, "city 'hills' has no generated streets"),
+    ("coverage", {"city": {"kind": "forest"}, "irregularity": 0.5}, "no generated streets"),
+    ("search", {"num_drones": 1, "radio_range": 20.0}, "no effect, as num_drones is 1"),
     ("crosing", {}, "unknown task 'crosing': did you mean 'crossing'"),
 ]
 
@@ -150,6 +158,20 @@ BAD = [
 def test_what_cannot_be_is_refused_at_construction_with_the_value_and_a_remedy(task, options, said):
     with pytest.raises(ValueError, match=said):
         bulletuav.parallel_env(task, **options)
+
+
+@pytest.mark.parametrize(
+    ("task", "options"),
+    [
+        ("flocking", {"leader": False, "difficulty": "medium"}),
+        ("pad_landing", {"difficulty": "medium", "pad_circle": 2.0}),
+        ("coverage", {"difficulty": "medium", "city": "hills"}),
+        ("search", {"num_drones": 1, "difficulty": "medium"}),
+        ("search", {"num_drones": 2, "radio_range": 20.0}),
+    ],
+)
+def test_defaults_and_difficulties_may_set_options_without_effect(task, options):
+    EnvSpec(task, 1, options)
 
 
 def test_missing_and_broken_urdf(tmp_path):

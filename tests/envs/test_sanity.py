@@ -242,7 +242,7 @@ def test_same_seed_same_bits(cases):
 
 OWN_OPTIONS = {
     "pad_landing": {"d_safe": 0.8, "observation": ("velocity", "pad_clue", "claimed_pads")},
-    "transport": {"d_safe": 0.8},
+    "transport": {"d_safe": 0.8, "load_mass": 0.005},
 }
 """Options with which tasks suit all airframes, and have no pictures"""
 

@@ -219,6 +219,15 @@ def test_a_recording_with_changes_is_verified(tmp_path):
     assert plain.hash() != recording.hash()
 
 
+def test_a_change_after_the_last_decision_is_not_recorded(tmp_path):
+    aviary = aviary_of(horizon=12)
+    recording = recorded(aviary, lambda k: None)
+    aviary.set_condition(added_mass=0.002)
+    save(recording, aviary, "straight", 7, tmp_path)
+    assert not json.loads((tmp_path / "run.json").read_text())["options"]["events"]
+    main(["verify", str(tmp_path)])
+
+
 def test_a_recording_with_too_many_changes_says_so(tmp_path):
     aviary = aviary_of(horizon=2)
 

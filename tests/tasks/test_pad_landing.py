@@ -102,6 +102,22 @@ class Landings:
             update_landings(*given, self.claimed, self.landing, self.has_pad)
 
 
+@pytest.mark.parametrize("policy", ["pad_pilot", "pad_touch"])
+def test_contact_is_paid_once_in_training(policy):
+    """A landing has 25 decisions of contact, and `pad_touch` leaves after more than 15 of them."""
+    aviary = made(num_drones=1, observation=("velocity",), horizon=1500, reward="training")
+    weights = aviary.task.training_weights
+    flown = find_policy(policy)(aviary)
+    seen, touching, total = aviary.reset(seeds=0), 0.0, 0.0
+    flown.reset(np.ones(1, dtype=bool))
+    while aviary.alive.any():
+        step = aviary.step(flown.act(seen, aviary.swarm))
+        touching, total = touching + step.info["reward/touching"][0, 0], total + step.rewards[0, 0]
+    assert 15 < touching / weights["touching"] < 25 + 1e-6
+    assert (total > weights["landing"]) == (policy == "pad_pilot")
+    aviary.close()
+
+
 def test_half_a_second_of_contact_claims_a_pad_once():
     all_of = Landings()
     all_of.update([0, -1], 24)

@@ -6,7 +6,15 @@ import pytest
 import bulletuav
 from bulletuav.geometry.view import OBSTACLE
 from bulletuav.policies import find_policy
-from bulletuav.tasks.parts.loads import ATTACHED, POSITION, QUATERNION, TENSION, VELOCITY
+from bulletuav.tasks.parts.loads import (
+    ATTACHED,
+    GRAVITY,
+    POSITION,
+    QUATERNION,
+    RATES,
+    TENSION,
+    VELOCITY,
+)
 from bulletuav.tasks.transport import lay_out
 
 IMAGES = ("depth", "segmentation", "flow")
@@ -196,6 +204,8 @@ def test_cables_are_apart_on_all_loads():
         ({"shape": "parcel", "num_drones": 2}, "use 'beam' or 'box'"),
         ({"shape": "ball"}, "shape"),
         ({"load_mass": 0.0}, "load_mass is 0 kg"),
+        ({"load_mass": 1.4}, "load 0 has 1.4 kg, .* weight of 20.8 N: .* of 24 N has to be 1.2"),
+        ({"airframe": "cf2x"}, "use a stronger airframe"),
         ({"distance": (5.0, 4.0)}, "distance is"),
         ({"distance": (0.5, 4.0)}, "distance is"),
         ({"cable_length": 0.3}, "cable_length is 0.3 m"),
@@ -234,6 +244,25 @@ def test_sensors_see_the_load_where_it_is():
     assert load[2] > 0.5
     # In the picture the load does not move, as it follows the drone
     assert np.abs(readings["flow"][0, 0, 0, 16, 16]).max() < 0.1
+
+
+def test_the_slack_at_which_a_load_is_released_follows_gravity():
+    """Cables that carry a tenth of the weight of the load on the Moon, not on the Earth."""
+    aviary = bulletuav.Aviary("transport", 1, gravity=9.81)
+    aviary.reset(seeds=0)
+    aviary.step(np.zeros((1, 1, 3)))
+    np.testing.assert_array_equal(aviary.scene.memory[GRAVITY], 9.81)
+    aviary.set_condition(gravity=1.62)
+    aviary.step(np.zeros((1, 1, 3)))
+    memory, task = aviary.scene.memory, aviary.task
+    np.testing.assert_array_equal(memory[GRAVITY], 1.62)
+    memory["place"][:] = memory[POSITION][:, 0]
+    for share, stands in ((0.11, False), (0.09, True)):
+        memory[TENSION][:] = share * 0.2 * 1.62
+        memory[VELOCITY][:] = memory[RATES][:] = 0.0
+        task.update_memory(aviary.current_frame(), aviary.rng)
+        assert (memory["standing"][0] > 0.0) == stands
+    aviary.close()
 
 
 def test_pictures_show_the_load_and_its_cables():

@@ -24,7 +24,8 @@ class DrainBatteries(Stage):
             charging = given = np.zeros(state.payload.shape)
             program.callback(lambda: np.copyto(given, task.charging_power(state.scene)))
         pull = np.zeros(state.payload.shape)
-        if worlds.loads is not None:
-            program.callback(lambda: worlds.loads.fill_pull(pull))
+        loads = worlds.loads
+        if loads is not None:
+            program.callback(lambda: loads.fill_pull(pull))
         taken = (state.wind, state.payload, state.flown, pull, charging)
         worlds.energy.add_to(program, state.before, state.swarm, *taken)

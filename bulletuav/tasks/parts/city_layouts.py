@@ -104,6 +104,17 @@ class CityOptions:
     pad_radius: float = 2.0
     pad_height: float = 3.0
 
+    def idle_options(self, num_drones: int) -> Mapping[str, str]:
+        """Return the options of pads and streets that are missing; see `TaskConfig`."""
+        idle = {}
+        if not has_pads(self):
+            idle = dict.fromkeys(("pad_power", "pad_radius", "pad_height"), "charging_pads is 0")
+        kind = self.city
+        is_named = isinstance(kind, str) and kind in (*TERRAINS, OPEN)
+        if is_named or isinstance(kind, Mapping | Path | City):
+            idle["irregularity"] = f"city {shown(kind)} has no generated streets"
+        return idle
+
 
 def make_cities(config: CityOptions) -> tuple[City, ...]:
     """Create the cities that the options describe.

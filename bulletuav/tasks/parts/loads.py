@@ -11,6 +11,7 @@ from bulletuav.vehicle.load import Load
 
 POSITION, QUATERNION = "load_position", "load_quaternion"
 VELOCITY, RATES = "load_velocity", "load_rates"
+GRAVITY = "load_gravity"
 ATTACHED, TAUT, TENSION = "cable_attached", "cable_taut", "cable_tension"
 """Names of arrays in the memory"""
 
@@ -63,14 +64,15 @@ class Loads(Part):
 
         Returns:
             "load_position" (L, 3), m; "load_quaternion" (L, 4), body to world; "load_velocity" (L,
-            3), m/s; "load_rates" (L, 3), body axes, rad/s; "cable_attached" (C,), 1 for attached
-            cables; "cable_taut" (C,), 1 for cables that pull; "cable_tension" (C,), mean tension in
-            the last substep, N.
+            3), m/s; "load_rates" (L, 3), body axes, rad/s; "load_gravity" (L,), gravitational
+            acceleration in the last decision, m/s^2; "cable_attached" (C,), 1 for attached cables;
+            "cable_taut" (C,), 1 for cables that pull; "cable_tension" (C,), mean tension in the
+            last substep, N.
         """
         loads, cables = len(self.loads), len(self.cables)
         vectors = dict.fromkeys((POSITION, VELOCITY, RATES), (loads, 3))
         numbers = dict.fromkeys((ATTACHED, TAUT, TENSION), (cables,))
-        return {**vectors, QUATERNION: (loads, 4), **numbers}
+        return {**vectors, QUATERNION: (loads, 4), GRAVITY: (loads,), **numbers}
 
     def memory_bounds(self) -> Mapping[str, tuple[Any, Any]]:
         """Return the bounds of flags and tensions."""
