@@ -73,9 +73,9 @@ def parse_arguments() -> argparse.Namespace:
 class School:
     """Worlds with teachers, and the data set of observations and labels."""
 
-    def __init__(self, lesson: Lesson, plan: Plan, seed: int) -> None:
-        self.worlds = Worlds(plan, seed, with_state=False)
-        self.envs = self.worlds.envs
+    def __init__(self, lesson: Lesson, worlds: Worlds) -> None:
+        self.worlds = worlds
+        self.envs = worlds.envs
         self._noise, self._decisions = lesson.noise, lesson.decisions
         self._teachers = [find_policy(lesson.teacher, lesson.task)(env.aviary) for env in self.envs]
         for teacher, env in zip(self._teachers, self.envs, strict=True):
@@ -98,6 +98,25 @@ class School:
             taught.append(right[lived])
         self.seen, self.taught = torch.cat(seen), torch.cat(taught)
 
+    def train(self, agent: Agent, lesson: Lesson, rate: float) -> None:
+        """Alternate collection and training."""
+        optimiser = torch.optim.Adam(agent.parameters(), rate)
+        steps = lesson.rounds * lesson.updates
+        falls = torch.optim.lr_scheduler.LambdaLR(optimiser, lambda step: 1 - step / steps)
+        for k in range(lesson.rounds):
+            self.fly(agent if k else None)
+            for _ in range(lesson.updates):
+                chosen = torch.randint(len(self.seen), (MINIBATCH,))
+                mean, _ = agent(self.seen[chosen], torch.zeros(MINIBATCH, 0))
+                loss = (mean - self.taught[chosen]).square().mean()
+                optimiser.zero_grad()
+                loss.backward()
+                torch.nn.utils.clip_grad_norm_(agent.parameters(), 0.5)
+                optimiser.step()
+                falls.step()
+            if k % 5 == 0 or k == lesson.rounds - 1:
+                print(f"{len(self.seen):8d} decisions: loss {loss.item():.5f}", flush=True)
+
     def _right(self) -> torch.Tensor:
         """Return the actions of the teachers, (M, A)."""
         pairs = zip(self._teachers, self.envs, strict=True)
@@ -107,28 +126,13 @@ class School:
 
 
 def learn(lesson: Lesson, args: argparse.Namespace) -> None:
-    """Alternate collection and training, and save the policy."""
+    """Train and save the policy."""
     torch.manual_seed(args.seed)
     plan = Plan(lesson.task, lesson.options, lesson.batches, steps=1, log_std=-2.0)
-    school = School(lesson, plan, args.seed)
+    school = School(lesson, Worlds(plan, args.seed, with_state=False))
     size = school.envs[0].action_space.shape[0]
     agent = Agent(swarm_features(school, plan), size, plan, state_size=0)
-    optimiser = torch.optim.Adam(agent.parameters(), args.rate)
-    steps = lesson.rounds * lesson.updates
-    falls = torch.optim.lr_scheduler.LambdaLR(optimiser, lambda step: 1 - step / steps)
-    for k in range(lesson.rounds):
-        school.fly(agent if k else None)
-        for _ in range(lesson.updates):
-            chosen = torch.randint(len(school.seen), (MINIBATCH,))
-            mean, _ = agent(school.seen[chosen], torch.zeros(MINIBATCH, 0))
-            loss = (mean - school.taught[chosen]).square().mean()
-            optimiser.zero_grad()
-            loss.backward()
-            torch.nn.utils.clip_grad_norm_(agent.parameters(), 0.5)
-            optimiser.step()
-            falls.step()
-        if k % 5 == 0 or k == lesson.rounds - 1:
-            print(f"{len(school.seen):8d} decisions: loss {loss.item():.5f}", flush=True)
+    school.train(agent, lesson, args.rate)
     for env in school.envs:
         env.close()
     save(agent, args.out)

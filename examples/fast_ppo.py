@@ -238,8 +238,8 @@ def train(
     worlds = make_worlds(plan, seed, central)
     size = worlds.envs[0].action_space.shape[0]
     agent = Agent(make_features(worlds, plan), size, plan, worlds.state().shape[1])
-    if prepare:  # callback that trains the agent before PPO
-        prepare(agent)
+    if prepare:  # callback that trains the agent by other means first
+        prepare(worlds, agent)
     save(agent, folder / CHECKPOINTS / "000")
     write_settings(plan, seed, folder, by)
     optimiser = torch.optim.Adam(agent.parameters(), plan.rate, eps=1e-5)

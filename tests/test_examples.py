@@ -12,6 +12,7 @@ import sensing
 import yaml
 
 import bulletuav
+from bulletuav.policies.pad_vision import picture_rays
 
 ROOT = Path(__file__).parent.parent
 FOLDER = ROOT / "examples"
@@ -34,6 +35,7 @@ EXAMPLES = {
     "streets": "--stack --steps 1 --episodes 1",
     "depth_ppo": "--steps 1 --episodes 1",
     "search_ppo": "--cloned 2 --steps 1 --episodes 1",
+    "pad_landing_ppo": "--rounds 1 --steps 1 --episodes 1",
     "dagger": "race --rounds 2 --decisions 5 --updates 2",
     "team_critics": "maddpg --steps 1 --episodes 2",
     "self_play": "--rounds 1 --steps 1 --episodes 2",
@@ -243,6 +245,50 @@ def check_depth_ppo(output, folder):
     settings = yaml.safe_load((folder / "run.yaml").read_text())
     assert settings["options"]["action"] == "turn_speed"
     assert (folder / "policy.onnx").stat().st_size > 10_000
+
+
+def check_pad_landing_ppo(output, folder):
+    assert numbers("# decisions: loss #", output)[0, 0] == 40 * 192
+    assert numbers("# decisions: mean return #", output)[0, 0] == 64 * 192
+    found = numbers("at medium: success #, score #, landed after # s", output)
+    assert len(found) == 2
+    assert (found[:, :2] == 0).all()  # which has learned nothing yet
+    settings = yaml.safe_load((folder / "run.yaml").read_text())
+    assert settings["options"]["sensors"] == ["pad_landing_ppo:HeightMap"]
+
+
+def test_heights_in_pictures_are_mapped_to_cells(monkeypatch):
+    """By hand: ground 10 m below a level drone, with a pixel 2 m above it, and sky."""
+    monkeypatch.syspath_prepend(FOLDER)
+    example = importlib.import_module("pad_landing_ppo")
+    half = np.sqrt(0.5)
+    rise = picture_rays((64, 64), np.pi / 2) @ (-half, 0.0, half)  # of a camera 45 degrees down
+    depth = -10.0 / rise
+    depth[40, 21] *= 0.8
+    depth[:4, :4] = 2000.0
+    mount = (0.0, np.sin(np.pi / 8), 0.0, np.cos(np.pi / 8))
+    maps = np.zeros((1, 1, 2, 16, 16), np.float32)
+    level, mask = np.array([[[0.0, 0.0, 0.0, 1.0]]]), np.ones((1, 1), dtype=bool)
+    picture = depth[None, None].astype(np.float32)
+    example.map_heights(picture, level, mount, mask, np.zeros((64, 64)), maps)
+    top, mean = maps[0, 0]
+    assert np.argwhere(top > 0.01).tolist() == [[10, 5]]
+    assert top[10, 5] == pytest.approx(np.log(21) / np.log(151), rel=1e-4)
+    assert mean[10, 5] == pytest.approx(-np.log(1 + 98.75) / np.log(151), rel=1e-4)
+    assert mean[0, 0] == 0
+    np.testing.assert_allclose(mean[1:, 9], -np.log(101) / np.log(151), rtol=1e-4)
+
+
+def test_height_maps_are_of_every_second_pixel_of_the_task():
+    options = {"dynamics": "rigid_body", "observation": ["depth"]}
+    whole, half = (
+        bulletuav.Aviary("pad_landing", 1, **options, camera_size=(side, side))
+        for side in (128, 64)
+    )
+    seen = [one.reset(seeds=3) for one in (whole, half)]
+    np.testing.assert_array_equal(seen[0][..., 1::2, ::2], seen[1])
+    whole.close()
+    half.close()
 
 
 def test_what_a_camera_drone_observes_of_goal_and_bounds(monkeypatch):
