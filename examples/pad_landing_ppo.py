@@ -1,16 +1,21 @@
-"""Learn to find landing pads in depth pictures and to land on them, with PPO of `fast_ppo.py`.
+"""Learn to find landing pads in depth pictures and to land on them, by imitation and PPO.
 
 Drones see as much as the baseline `pad_seeker`: the numbers of the task's observation, and its
 downward depth camera. The sensor `HeightMap` reduces each picture to 16 x 16 cells of heights, and
 a small convolutional network, `PictureFeatures`, is shared by all drones. They decide 10 times a
-second.
+second. The network first imitates `pad_pilot`, which knows the pads, by `dagger.py`. It then flies
+to pads and hovers above them, without any landing; PPO of `fast_ppo.py` learns to land.
+
+Measured in `point_mass` after 1.2 million decisions of PPO: safe landings 0.58 at easy and 0.57 at
+medium, scores 0.55 and 0.50. The baseline has 1.00 and 0.98, scores 0.96 and 0.90, so it is not
+reached. Drones fail that sink back to their start platforms, or stand on claimed pads.
 
 Run it:
 
     python examples/pad_landing_ppo.py
 
-Needs the extra `sb3`. The output folder can be flown: `--policy FOLDER`, in this folder and with
-`--trust`.
+Takes about 15 minutes on one core. Needs the extra `sb3`. The output folder can be flown:
+`--policy FOLDER`, in this folder and with `--trust`.
 """
 
 import argparse
@@ -231,7 +236,7 @@ def main() -> None:
     parts = (Maps, lambda worlds, _: worlds.features, prepare if args.rounds else None)
     train(plan, args.seed, False, args.out, None, "pad_landing_ppo", *parts)
     for policy in (args.out / CHECKPOINTS / "000", args.out):
-        options = {**OPTIONS, "dynamics": "bullet", "difficulty": "medium"}
+        options = {**OPTIONS, "difficulty": "medium"}
         found = fly(str(policy), args.episodes, 1000, **options)
         print(
             f"{policy} at medium: success {found.success:.3f}, score {found.score:.3f}, "
