@@ -6,15 +6,16 @@ a small convolutional network, `PictureFeatures`, is shared by all drones. They 
 second. The network first imitates `pad_pilot`, which knows the pads, by `dagger.py`. It then flies
 to pads and hovers above them, without any landing; PPO of `fast_ppo.py` learns to land.
 
-Measured in `point_mass` after 1.2 million decisions of PPO: safe landings 0.58 at easy and 0.57 at
-medium, scores 0.55 and 0.50. The baseline has 1.00 and 0.98, scores 0.96 and 0.90, so it is not
-reached. Drones fail that sink back to their start platforms, or stand on claimed pads.
+Measured in `point_mass` after 1.2 million decisions of PPO, with imitation in `rigid_body`: safe
+landings 0.58 at easy and 0.57 at medium, scores 0.55 and 0.50. The baseline has 1.00 and 0.98,
+scores 0.96 and 0.90, so it is not reached. Drones fail that sink back to their start platforms,
+stand on claimed pads, or fly past the pads.
 
 Run it:
 
     python examples/pad_landing_ppo.py
 
-Takes about 15 minutes on one core. Needs the extra `sb3`. The output folder can be flown:
+Takes about 12 minutes on one core. Needs the extra `sb3`. The output folder can be flown:
 `--policy FOLDER`, in this folder and with `--trust`.
 """
 
