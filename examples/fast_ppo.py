@@ -3,7 +3,7 @@
 The training loop is plain PyTorch over `batch_env`, whose step is compiled. One policy is trained
 on batches of worlds of several sizes: `SwarmFeatures` are invariant to the number and order of
 other drones. With `--critic state` the critic sees the state of the whole world (MAPPO), otherwise
-the drone's observation (IPPO). The output folder can be flown without PyTorch: `--policy FOLDER`.
+the observation of the drone (IPPO). The output folder flies without PyTorch: `--policy FOLDER`.
 
 `hover` controls the rotors of a Crazyflie. `crossing` has 8 drones, `swarm` 8 to 64 drones that
 cross or converge, and `race` two drones that fly laps through gates; these use `point_mass`.
@@ -63,8 +63,7 @@ class Plan(NamedTuple):
 
 POINTS = {"dynamics": "point_mass"}  # which are fast
 CROSSING = {"observation": SEEN, "num_neighbours": 4, "weights": TRAFFIC}
-STAY = {"alive": 0.2, "holding": 0.5, "distance": -0.3, "speed": -0.05}
-HOVER = {"difficulty": "medium", "weights": STAY}
+HOVER = {**MEDIUM, "weights": {"alive": 0.2, "holding": 0.5, "distance": -0.3, "speed": -0.05}}
 # A separation of 6.5 m leaves a margin for noise and for situations rare in training
 APART = {**CROSSING, "num_neighbours": 6, "d_safe": 6.5}
 EIGHT = {"task": "crossing", **POINTS, "num_envs": 32, "num_drones": 8}
