@@ -219,7 +219,7 @@ def parse_arguments() -> argparse.Namespace:
     parser.add_argument("--episodes", type=int, default=50, help="episodes of each evaluation")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument(
-        "--out", type=Path, default=Path("pad_landing"), help="folder for the policy"
+        "--out", type=Path, default=Path("pad_landing_ppo"), help="folder for the policy"
     )
     return parser.parse_args()
 

@@ -285,7 +285,7 @@ def test_height_maps_are_of_every_second_pixel_of_the_task():
         bulletuav.Aviary("pad_landing", 1, **options, camera_size=(side, side))
         for side in (128, 64)
     )
-    seen = [one.reset(seeds=3) for one in (whole, half)]
+    seen = [one.reset(seeds=3)["depth"] for one in (whole, half)]
     np.testing.assert_array_equal(seen[0][..., 1::2, ::2], seen[1])
     whole.close()
     half.close()
