@@ -35,7 +35,6 @@ from fast_ppo import Agent, Plan, Worlds, collect, learn, train
 import bulletuav
 from bulletuav.adapters.features import PictureFeatures
 from bulletuav.compiled.kernel import kernel
-from bulletuav.engine.engine import Engine
 from bulletuav.geometry.rotation import axes, product, quat4
 from bulletuav.geometry.view import FAR
 from bulletuav.policies import find_policy
@@ -95,7 +94,7 @@ class HeightMap(Sensor):
         """Return the bounds of the maps."""
         return {"heights": Image(-1.0, 1.0, np.float32, (), (MAPS,))}
 
-    def attach(self, setup: SensorSetup, engine: Engine) -> None:
+    def attach(self, setup: SensorSetup, engine: Any) -> None:
         """Attach the camera, and allocate the maps."""
         super().attach(setup, engine)
         taken = replace(setup, camera_size=(SIDE, SIDE), wanted=frozenset(("depth",)))
