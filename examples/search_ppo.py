@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 import torch
 from depth_ppo import Views
-from fast_ppo import Agent, Plan, train
+from fast_ppo import Agent, Plan, Worlds, train
 from torch import nn
 
 import bulletuav
@@ -213,7 +213,7 @@ def main() -> None:
     torch.set_num_threads(1)
     plan = PLAN._replace(steps=args.steps)
 
-    def prepare(agent: Agent) -> None:
+    def prepare(_: Worlds, agent: Agent) -> None:
         clone(agent, plan, args.seed, args.cloned)
 
     parts = (Views, lambda worlds, _: worlds.features, prepare)
