@@ -195,18 +195,16 @@ def fly(policy: str, episodes: int, seed: int, **options: Any) -> Flights:
     pilot = find_policy(policy, trust=True)(aviary)
     seen = aviary.reset(seeds=seed)
     pilot.reset(np.ones(episodes, dtype=bool))
-    score, landed = np.zeros((2, episodes, aviary.num_drones))
+    landed = np.zeros((episodes, aviary.num_drones))
     while aviary.alive.any():
         step = aviary.step(pilot.act(seen, aviary.swarm))
         seen = step.observations
-        # The score is that of drones that land in this decision
-        score += step.info["score"]
         now = (step.info["score"] > 0) & (landed == 0)
         landed[now] = (aviary.steps[:, None] * np.ones_like(landed))[now]
     period = 1 / aviary.options.decision_hz
     aviary.close()
-    done = landed > 0
-    return Flights(done.mean(), score.mean(), period * landed[done].mean() if done.any() else 0.0)
+    done, score = landed > 0, step.info["score"].mean()
+    return Flights(done.mean(), score, period * landed[done].mean() if done.any() else 0.0)
 
 
 def parse_arguments() -> argparse.Namespace:

@@ -410,6 +410,7 @@ class PadLanding(Task[PadLandingConfig]):
                 "pad_spin": spin[0],
                 "clue": clue,
                 "closest": np.full(drones, self.zone),
+                "score": np.zeros(drones),
                 "target_time": TIME_MARGIN * (nearest / self.context.max_speed) + STABLE_TIME,
             },
         )
@@ -465,7 +466,17 @@ class PadLanding(Task[PadLandingConfig]):
         longest = np.maximum(memory["longest_stable"], memory["stable_time"])
         memory["stable_growth"][:] = longest - memory["longest_stable"]
         memory["longest_stable"][:] = longest
+        self._update_scores(frame)
         self._aim(frame)
+
+    def _update_scores(self, frame: Frame) -> None:
+        """Write the scores of drones that land in this decision."""
+        assert self.safety is not None
+        memory = frame.scene.memory
+        done = (memory["landing"] > 0) & self.safety.is_safe(frame)
+        score = SCORE["success"] + SCORE["time"] * self.time_factor(frame)
+        score = score + SCORE["safety"] * self.safety_factor(frame)
+        memory["score"][done] = score[done]
 
     def quantities(self) -> Mapping[str, Any]:
         """Return those of the parts, `time_factor` and `safety_factor`."""
@@ -487,12 +498,7 @@ class PadLanding(Task[PadLandingConfig]):
 
     def info(self, frame: Frame) -> dict[str, np.ndarray]:
         """Return the scores in addition to the infos of the parts."""
-        assert self.safety is not None
-        memory = frame.scene.memory
-        done = (memory["landing"] > 0) & self.safety.is_safe(frame)
-        score = SCORE["success"] + SCORE["time"] * self.time_factor(frame)
-        score = score + SCORE["safety"] * self.safety_factor(frame)
-        return {**super().info(frame), "score": np.where(done, score, 0.0)}
+        return {**super().info(frame), "score": frame.scene.memory["score"].copy()}
 
 
 @kernel

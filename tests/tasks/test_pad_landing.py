@@ -243,6 +243,8 @@ def test_the_pilot_lands_on_pads_that_move_and_rock_and_scores():
         assert (paid[~ended] == 0).all()
         last = np.where(ended, step.info["score"], last)
     assert (last > 0.5).all()
+    # Scores of earlier landings stay to the end of the episode
+    np.testing.assert_array_equal(step.info["score"], last)
     # Each drone has a pad of its own
     for claimed in aviary.scene.memory["claimed"]:
         assert sorted(claimed.tolist()) == [1.0, 2.0, 3.0]
