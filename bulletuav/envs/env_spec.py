@@ -259,7 +259,6 @@ class EnvSpec:
     def _make_setup(self, wanted: frozenset[str]) -> SensorSetup:
         return dataclasses.replace(
             sensor_setup(self.options, self.num_worlds, wanted),
-            decision_every=self.decision_every,
             num_targets=self.task.num_targets,
             target_radius=self.task.target_radius,
             arena=(self.task.arena_low, self.task.arena_high),

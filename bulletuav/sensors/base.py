@@ -84,7 +84,6 @@ class SensorSetup:
     Attributes:
         shape: Number of worlds and of drones, (W, N).
         period: Time between decisions, s.
-        decision_every: (N,) decisions of the world for each one of a drone; None for 1.
         gravity: Gravitational acceleration at the start of an episode, m/s^2.
         radius: (N,) collision radius of each drone, m.
         max_range: Range of range finder and clearance, m.
@@ -107,7 +106,6 @@ class SensorSetup:
 
     shape: tuple[int, int] = (1, 1)
     period: float = 0.1
-    decision_every: np.ndarray | None = None
     gravity: float = STANDARD_GRAVITY
     radius: tuple[float, ...] = ()
     max_range: float = 60.0

@@ -97,9 +97,10 @@ class Jammer:
 class Channel:
     """Radio channel for messages that are part of each drone's action.
 
-    In each of its decisions a drone broadcasts a message to all others, which observe it as
-    "messages" after its delay. A message is lost beyond the range, with the probability `loss`,
-    without line of sight if that is required, or if a jammer is too near.
+    In each decision of the world a drone broadcasts a message to all others, which observe it as
+    "messages" after its delay. A drone that holds its action (`decision_every`) sends its message
+    again, so that those hear it that decide later. A message is lost beyond the range, with the
+    probability `loss`, without line of sight if that is required, or if a jammer is too near.
 
     Attributes:
         size: Number of numbers, or of tokens, in a message.
@@ -109,7 +110,7 @@ class Channel:
         delay: Delay, s, rounded up to whole decisions.
         bandwidth: Bits that a drone can send per second. A message has 32 bits for each number, or
             log2(tokens), rounded up, for each token. If that is too much, drones send in every k-th
-            of their decisions, with the smallest possible k.
+            decision, with the smallest possible k.
         line_of_sight: Whether buildings and obstacles block messages.
         jammer: Source of interference, or a dict of its attributes.
     """
@@ -300,9 +301,7 @@ class Messages(Sensor):
         super().attach(setup, engine)
         (worlds, drones), channel = setup.shape, self.channel
         self._late = _ceil(channel.delay / setup.period)
-        # Drones send decisions of their own only, not those that they hold
-        every = np.ones(drones, int) if setup.decision_every is None else setup.decision_every
-        self._every = np.array([k * channel.decisions_between(k * setup.period) for k in every])
+        self._every = channel.decisions_between(setup.period)
         # In transit, latest first
         self._message = np.zeros((self._late + 1, worlds, drones, channel.size))
         self._sent = np.zeros((self._late + 1, worlds, drones), dtype=bool)

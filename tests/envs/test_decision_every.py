@@ -181,15 +181,6 @@ def test_choices_are_held():
     aviary.close()
 
 
-def test_messages_are_sent_in_own_decisions():
-    aviary = Aviary("pursuit_evasion", communication={"size": 1}, decision_every=RATES, **GAME)
-    aviary.reset(seeds=0)
-    for _ in range(7):
-        step = aviary.step(np.zeros(aviary.given.shape))
-    assert step.info["message_bits"][0].tolist() == [7 * 32] * 3 + [3 * 32]
-    aviary.close()
-
-
 def test_recordings_are_verified(tmp_path):
     given = ["--set", f"decision_every={RATES}", "--dynamics", "point_mass", "--horizon", "20"]
     base = ["fly", "pursuit_evasion", "--policy", "lead vs flee", "--out", str(tmp_path)]

@@ -23,25 +23,12 @@ def at(position):
     return Swarm(position, upright, still, still, np.zeros((*shape, 4)))
 
 
-def fly(
-    channel,
-    position,
-    decisions,
-    message=None,
-    mask=None,
-    neighbours=None,
-    discrete=False,
-    decision_every=None,
-):
+def fly(channel, position, decisions, message=None, mask=None, neighbours=None, discrete=False):
     """The observations (T, N, slots, numbers) of drones at rest, and the infos of each decision."""
     swarm, drones = at(position), len(position)
     neighbours = neighbours or drones - 1
     sensor = sensor_of(
-        Messages(channel, discrete),
-        (1, drones),
-        period=PERIOD,
-        num_neighbours=neighbours,
-        decision_every=decision_every,
+        Messages(channel, discrete), (1, drones), period=PERIOD, num_neighbours=neighbours
     )
     rng = np.random.default_rng(7)
     start(sensor, 0, swarm, rng)
@@ -111,23 +98,6 @@ def test_bandwidth_makes_drones_send_in_every_third_decision():
     # 5 tokens of 8 have 15 bits, and 10 decisions a second need 150 bits/s
     for bandwidth, between in ((150.0, 1), (149.0, 2), (10.0, 15)):
         assert Channel(size=5, tokens=8, bandwidth=bandwidth).decisions_between(0.1) == between
-
-
-def test_drones_that_hold_an_action_do_not_send_it_again():
-    place, every = [(0, 0, 5), (10, 0, 5)], np.array([1, 3])
-    seen, infos = fly(Channel(size=1), place, 7, counting(), decision_every=every)
-    # Drone 0 hears drone 1, which decides in every third decision of the world
-    np.testing.assert_array_equal(seen[:, 0, 0, 0], (1, 0, 0, 1, 0, 0, 1))
-    np.testing.assert_array_equal(seen[:, 1, 0, 0], 1)
-    np.testing.assert_array_equal(infos[-1]["message_bits"], (7 * 32, 3 * 32))
-    # 32 bits need 2 decisions at 160 bits/s, but less than 3
-    slow = Channel(size=1, bandwidth=160.0)
-    _, infos = fly(slow, place, 7, counting(), decision_every=every)
-    np.testing.assert_array_equal(infos[-1]["message_bits"], (4 * 32, 3 * 32))
-    # At 64 bits/s, 5 decisions of drone 0, and 2 of drone 1, which are 6 of the world
-    slow = Channel(size=1, bandwidth=64.0)
-    _, infos = fly(slow, place, 7, counting(), decision_every=every)
-    np.testing.assert_array_equal(infos[-1]["message_bits"], (2 * 32, 2 * 32))
 
 
 def test_tokens_are_observed_as_ones_at_their_index():
