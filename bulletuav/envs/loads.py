@@ -47,7 +47,7 @@ def require_lift(loads: Loads, options: EnvOptions) -> None:
             raise ValueError(
                 f"load {m} has {load.mass:.3g} kg, and with its drones a weight of {weight:.3g} N: "
                 f"their thrust of {thrust:.3g} N has to be {LIFT_MARGIN:g} times as much; lower "
-                f"the mass of the load, or use a stronger airframe or more drones"
+                f"the mass of the load (load_mass), or use a stronger airframe or more drones"
             )
 
 

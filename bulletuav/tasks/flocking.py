@@ -8,6 +8,7 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 
 from bulletuav.compiled.functions import cos, sin
+from bulletuav.errors import finite
 from bulletuav.geometry.rotation import Vec3
 from bulletuav.registry import register
 from bulletuav.tasks.base import Weighted
@@ -288,6 +289,7 @@ class Flocking(GoalFlight[FlockingConfig]):
         if looseness is None:
             limit = max(1 + MAX_START_MARGIN / self.lattice_radius, densest)
             looseness = min(START_LOOSENESS, limit)
+        looseness = finite("start_looseness", looseness, 0.0, 100.0)
         if context.num_drones > 1 and looseness < densest:
             raise ValueError(
                 f"start_looseness is {looseness:g}: starts 2 d_safe apart need {densest:.3g}; "
