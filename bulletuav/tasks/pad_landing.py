@@ -360,11 +360,11 @@ class PadLanding(Task[PadLandingConfig]):
             "clue" (3,), m; "target_time" (N,), time for a perfect score, s; "closest" (N,),
             smallest separation so far, at most `zone`, m; "progress" (N,), see `progress`; "aim"
             (N,), index of the nearest unclaimed pad; "longest_stable" (N,), longest time of stable
-            contact so far, s, and "stable_growth" (N,), its growth in the decision, s.
+            contact so far, s; "stable_growth" (N,), its growth in the decision, s; "score" (N,).
         """
         drones = (self.context.num_drones,)
         names = ("target_time", "closest", "progress", "aim", "longest_stable", "stable_growth")
-        own = dict.fromkeys(names, drones)
+        own = dict.fromkeys((*names, "score"), drones)
         return {**super().memory(), "clue": (3,), **own}
 
     def memory_bounds(self) -> Mapping[str, tuple[Any, Any]]:
