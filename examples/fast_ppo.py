@@ -63,7 +63,8 @@ class Plan(NamedTuple):
 
 POINTS = {"dynamics": "point_mass"}  # which are fast
 CROSSING = {"observation": SEEN, "num_neighbours": 4, "weights": TRAFFIC}
-HOVER = {**MEDIUM, "weights": {"alive": 0.2, "holding": 0.5, "distance": -0.3, "speed": -0.05}}
+STAY = {"alive": 0.2, "holding": 0.5, "distance": -0.3, "speed": -0.05}
+HOVER = {**MEDIUM, "weights": STAY}
 # A separation of 6.5 m leaves a margin for noise and for situations rare in training
 APART = {**CROSSING, "num_neighbours": 6, "d_safe": 6.5}
 EIGHT = {"task": "crossing", **POINTS, "num_envs": 32, "num_drones": 8}
