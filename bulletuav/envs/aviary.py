@@ -399,7 +399,7 @@ class Aviary(Environment):
         mask = np.zeros(self.num_worlds, dtype=bool)
         mask[chosen] = True
         # Bullet rounds the state that is written: both flights continue from the rounded one
-        self.worlds.dynamics.restore(self.swarm, mask[:, None] & self.alive)
+        self.worlds.restore_flight(mask[:, None] & self.alive)
         return own_snapshot(layout.pack_worlds(self.rng, chosen), layout.form)
 
     @exclusive
@@ -436,7 +436,7 @@ class Aviary(Environment):
         parts.engine.set_layouts(self.scene.layout, mask)
         parts.place_obstacles(mask)
         parts.bodies.restore(chosen.tolist())
-        parts.dynamics.restore(self.swarm, drones)
+        parts.restore_flight(drones)
         gone = mask[:, None] & ~self.alive
         if gone.any():
             parts.engine.park(gone)

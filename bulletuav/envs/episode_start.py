@@ -250,6 +250,7 @@ class EpisodeStart:
             worlds.dynamics.add_place(program, state.swarm, self._fresh_drones)
         else:
             program.call(expand_mask, fresh, worlds.loads.fresh)
+            program.callback(worlds.loads.join)
             worlds.dynamics.add_place(program, worlds.loads.bodies, worlds.loads.fresh)
         add_value(program, fresh, 0, worlds.dynamics.contact.touches.number)
         program.call(update_present, state.alive, fresh, state.present, self._due)

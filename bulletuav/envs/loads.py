@@ -111,6 +111,20 @@ class LoadFlight:
             cables.is_taut[~wanted], cables.tension[~wanted] = False, 0.0
             group_bodies(cables, np.flatnonzero(changed.any(axis=1)).tolist())
 
+    def join(self) -> None:
+        """Copy the states of drones and loads to `bodies`."""
+        drones = self._state.alive.shape[1]
+        for body, drone in zip(self.bodies, self._state.swarm, strict=True):
+            body[:, :drones] = drone
+        for body, part in zip(self.bodies, self._parts, strict=False):
+            body[:, drones:] = part
+
+    def restore(self, mask: np.ndarray) -> None:
+        """Resume drones of `mask` (W, N), and the loads of their worlds, after a snapshot."""
+        self.join()
+        loads = np.repeat(mask.any(axis=1, keepdims=True), len(self._loads.loads), axis=1)
+        self._dynamics.restore(self.bodies, np.concatenate([mask, loads], axis=1))
+
     def add_to(self, program: Program, wind: Wind) -> None:
         """Add the flight of drones and loads to a program.
 

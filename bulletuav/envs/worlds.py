@@ -167,6 +167,13 @@ class Worlds(Parts):
         else:
             self.engine.note_obstacles(*obstacles)
 
+    def restore_flight(self, mask: np.ndarray) -> None:
+        """Resume drones of `mask` (W, N), with their loads, after a snapshot was written."""
+        if self.loads is None:
+            self.dynamics.restore(self.state.swarm, mask)
+        else:
+            self.loads.restore(mask)
+
     def show(self, swarm: Swarm, mask: np.ndarray) -> None:
         """Update the poses of drones of `mask` (W, N), loads and obstacles in the engine."""
         super().show(*self.shown(swarm, mask))

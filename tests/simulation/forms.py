@@ -68,7 +68,7 @@ def draw(rng: np.random.Generator, faces: tuple[str, ...], wide: bool, badly: fl
     options["num_drones"] = int(rng.integers(1, 7)) if not kind.team_names else 4
     if rng.random() < 0.8:
         options["horizon"] = int(rng.integers(2, 40))
-    if task != "hover" and not kind.needs_cables:  # only one dynamics has cables
+    if task != "hover" and not kind.needs_cables:  # cheap dynamics have no cables
         options["dynamics"] = pick(rng, CHEAP)
         if wide and rng.random() < 0.4:
             options["dynamics"] = pick(rng, names("dynamics"))

@@ -246,6 +246,28 @@ def test_sensors_see_the_load_where_it_is():
     assert np.abs(readings["flow"][0, 0, 0, 16, 16]).max() < 0.1
 
 
+def test_bullet_carries_as_rigid_body_and_resumes_from_snapshots():
+    ends = []
+    for dynamics in ("rigid_body", "bullet"):
+        aviary = bulletuav.Aviary("transport", 2, dynamics=dynamics, num_drones=3)
+        seen = aviary.reset(seeds=0)
+        for _ in range(2):  # with bodies of an earlier episode
+            seen = aviary.reset(seeds=1)
+            seen = fly(aviary, "carrier", 30, seen)[0].observations
+        saved = aviary.save_state()
+        fly(aviary, "carrier", 30, seen)
+        later = [aviary.swarm.position.copy(), aviary.scene.memory[POSITION].copy()]
+        seen = aviary.load_state(saved)
+        fly(aviary, "carrier", 30, seen)
+        np.testing.assert_array_equal(aviary.swarm.position, later[0])
+        np.testing.assert_array_equal(aviary.scene.memory[POSITION], later[1])
+        ends.append(later)
+        aviary.close()
+    assert ends[0][1][..., 2].min() > 0.3  # lifted
+    for one, other in zip(*ends, strict=True):
+        np.testing.assert_allclose(one, other, atol=1e-5)
+
+
 def test_the_slack_at_which_a_load_is_released_follows_gravity():
     """Cables that carry a tenth of the weight of the load on the Moon, not on the Earth."""
     aviary = bulletuav.Aviary("transport", 1, gravity=9.81)
