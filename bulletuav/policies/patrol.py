@@ -21,6 +21,7 @@ from bulletuav.policies.readings import require_blocks, unpack_blocks
 from bulletuav.registry import register
 from bulletuav.tasks.observations.neighbours import PER_NEIGHBOUR
 from bulletuav.tasks.observations.observer import Observation
+from bulletuav.tasks.parts.charging_pads import has_pads
 from bulletuav.tasks.patrol import Patrol
 from bulletuav.vehicle.swarm import Swarm
 
@@ -71,6 +72,11 @@ class PatrolPolicy(PathFollower):
         """
         super().__init__(aviary)
         self.task = require_supported_task(self, Patrol)
+        if not has_pads(self.task.config):
+            raise ValueError(
+                f"policy {self.name!r} charges at pads, and there are none: set charging_pads to 1 "
+                f"or more"
+            )
         require_blocks(self.name, aviary, NEEDED)
         shape = aviary.alive.shape
         levels = np.array(LEVELS)[np.arange(shape[1]) % len(LEVELS)]

@@ -7,7 +7,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from bulletuav.errors import as_sequence, finite
+from bulletuav.errors import as_sequence, finite, shown
 from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.geometry.shapes import Shape
 from bulletuav.vehicle.airframe import Airframe
@@ -96,8 +96,13 @@ def make_load(
             for those of the shape.
 
     Raises:
-        ValueError: If the shape is a hull, or a number is invalid.
+        ValueError: If the shape is a hull or none, or a number is invalid.
     """
+    if not isinstance(shape, Obstacle):
+        raise ValueError(
+            f"shape of a load is {shown(shape)}: an Obstacle is needed, such as "
+            f"Obstacle('sphere', (0.1,))"
+        )
     if finite("mass of a load", mass, 0.0, MAX_LOAD_MASS) == 0.0:
         raise ValueError("mass of a load is 0: a number of kg above 0 is needed")
     if shape.kind == "hull":
@@ -108,6 +113,10 @@ def make_load(
     across, along = (finite("drag_area", one, 0.0) for one in as_sequence("drag_area", areas, 2))
     if min(x, y, z) <= 0.0:
         raise ValueError(f"inertia of a load is {(x, y, z)}: numbers above 0 are needed")
+    if 2 * max(x, y, z) > (x + y + z) * (1 + 1e-9):
+        raise ValueError(
+            f"inertia of a load is {(x, y, z)}: no body has a moment above the sum of the others"
+        )
     values = (float(mass), (x, y, z), (across, along), shape.shape, shape.friction)
     return Load.of_numbers(dict(zip(VARIED, (*values, shape.restitution), strict=True)))
 

@@ -482,12 +482,18 @@ def test_loads_have_the_inertia_and_drag_of_their_shape():
     [
         ({"mass": 0.0}, "mass of a load is 0"),
         ({"mass": 1.0, "inertia": (1.0, 0.0, 1.0)}, "inertia of a load"),
+        ({"mass": 1.0, "inertia": (1.0, 1.0, 5.0)}, "above the sum of the others"),
         ({"mass": 1.0, "drag_area": (1.0,)}, "drag_area"),
     ],
 )
 def test_invalid_loads_raise_errors(arguments, message):
     with pytest.raises(ValueError, match=message):
         make_load(Obstacle("sphere", (0.1,)), **arguments)
+
+
+def test_loads_need_a_shape():
+    with pytest.raises(ValueError, match=r"shape of a load is 'box': an Obstacle is needed"):
+        make_load("box", mass=1.0)
 
 
 def test_tasks_refuse_loads():

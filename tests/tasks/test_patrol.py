@@ -147,7 +147,7 @@ def test_tours_are_short():
 
 def test_policies_need_pads():
     without = aviary_of(charging_pads=0)
-    with pytest.raises(ValueError, match="needs the observation block 'pads'"):
+    with pytest.raises(ValueError, match="there are none: set charging_pads to 1"):
         find_policy("patrol_reactive", "patrol")(without)
     without.close()
     other = bulletuav.Aviary("hover", 1, action="velocity")
