@@ -213,8 +213,9 @@ class Row(NamedTuple):
 
 def table(rows: Sequence[Row]) -> str:
     """Write the rows as Markdown."""
-    lines = ["| dynamics | Hz | " + " | ".join(f"{kind}, m" for kind in KINDS)]
-    lines[0] += " | under commands, m | us for a drone's second |"
+    head = "| dynamics | Hz | " + " | ".join(f"{kind}, m" for kind in KINDS)
+    head += " | under commands, m | us for a drone's second |"
+    lines = ["# Errors and costs of the dynamics", "", head]
     lines.append("|---|---|" + "---|" * (len(KINDS) + 2))
     for row in rows:
         cells = ["-" if error is None else f"{error:.1e}" for error in row.errors]
