@@ -107,7 +107,9 @@ def resolve_options(task: type[Task[Any]], given: Mapping[str, Any]) -> Resolved
     for_task = {name: value for name, value in values.items() if name in own}
     options = EnvOptions(**for_all)
     config = _validate_config(task.Config(**for_task))
-    for name, reason in config.idle_options(options.num_drones).items():
+    # A task's config may be any dataclass
+    idle = config.idle_options(options.num_drones) if isinstance(config, TaskConfig) else {}
+    for name, reason in idle.items():
         if name in given:
             raise ValueError(
                 f"{name} is {shown(given[name])}, which has no effect, as {reason}: leave it out"
