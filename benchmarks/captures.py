@@ -116,7 +116,7 @@ def main() -> None:
         writer = csv.writer(file)
         writer.writerow(COLUMNS)
         writer.writerows(
-            [[*row[:3], *(f"{one:.4g}" for one in row[3:8]), *row[8:]] for row in rows]
+            [[*row[:3], *(f"{one:.6g}" for one in row[3:8]), *row[8:]] for row in rows]
         )
 
 
