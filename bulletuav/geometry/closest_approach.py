@@ -21,6 +21,9 @@ def insert_nearest(
 ) -> int:
     """Insert a point into a sorted list of the nearest ones, if it is near enough.
 
+    Points at the same distance are sorted by index, so that the result does not depend on the order
+    in which points are inserted.
+
     Args:
         near: (K,) indices of the nearest points so far, nearest first; changed in place.
         distance: (K,) their distances, m; changed in place.
@@ -31,28 +34,6 @@ def insert_nearest(
     Returns:
         The number of entries in use now, at most K.
     """
-    if found == near.size and (found == 0 or new_distance >= distance[found - 1]):
-        return found
-    found = min(found + 1, near.size)
-    # Shift the farther points by one slot; the last one drops out of a full list.
-    slot = found - 1
-    while slot > 0 and distance[slot - 1] > new_distance:
-        near[slot] = near[slot - 1]
-        distance[slot] = distance[slot - 1]
-        slot -= 1
-    near[slot] = j
-    distance[slot] = new_distance
-    return found
-
-
-@func
-def insert_nearest_by_index(
-    near: np.ndarray, distance: np.ndarray, found: int, j: int, new_distance: float
-) -> int:
-    """Do the same as `insert_nearest`; points at the same distance are sorted by index.
-
-    The result therefore does not depend on the order in which points are inserted.
-    """
     if found == near.size:
         last = found - 1
         if found == 0 or new_distance > distance[last]:
@@ -60,6 +41,7 @@ def insert_nearest_by_index(
         if new_distance == distance[last] and j > near[last]:
             return found
     found = min(found + 1, near.size)
+    # Shift the farther points by one slot; the last one drops out of a full list.
     slot = found - 1
     while slot > 0 and (
         distance[slot - 1] > new_distance

@@ -156,31 +156,23 @@ def body_acceleration(
 
 
 @func
-def rk4_rate_slopes(
-    rates: Vec3, torque: Vec3, total_speed: float, momentum: float, dt: float, row: ParameterRow
-) -> Vec3:
-    """Return six times the weighted mean of the four slopes of the body rates (RK4), rad/s^2."""
-    # At the start, twice in the middle, and at the end of the step
-    k1 = body_acceleration(rates, torque, total_speed, momentum, row)
-    k2 = body_acceleration(plus(rates, 0.5 * dt, k1), torque, total_speed, momentum, row)
-    k3 = body_acceleration(plus(rates, 0.5 * dt, k2), torque, total_speed, momentum, row)
-    k4 = body_acceleration(plus(rates, dt, k3), torque, total_speed, momentum, row)
-    # The caller divides by six once for all parts
-    return (
-        k1[0] + 2 * k2[0] + 2 * k3[0] + k4[0],
-        k1[1] + 2 * k2[1] + 2 * k3[1] + k4[1],
-        k1[2] + 2 * k2[2] + 2 * k3[2] + k4[2],
-    )
-
-
-@func
 def free_rates(rates: Vec3, dt: float, row: ParameterRow) -> Vec3:
-    """Return the body rates after a time of torque-free rotation, rad/s."""
+    """Return the body rates after a time of torque-free rotation, by RK4, rad/s."""
     parts = num_spin_steps(rates, dt, MAX_PART_ROTATION)
     step = dt / parts
+    none = (0.0, 0.0, 0.0)
     for _ in range(parts):
-        slope = rk4_rate_slopes(rates, (0.0, 0.0, 0.0), 0.0, 0.0, step, row)
-        rates = plus(rates, step / 6.0, slope)
+        # At the start, twice in the middle, and at the end of the step
+        k1 = body_acceleration(rates, none, 0.0, 0.0, row)
+        k2 = body_acceleration(plus(rates, 0.5 * step, k1), none, 0.0, 0.0, row)
+        k3 = body_acceleration(plus(rates, 0.5 * step, k2), none, 0.0, 0.0, row)
+        k4 = body_acceleration(plus(rates, step, k3), none, 0.0, 0.0, row)
+        slopes = (
+            k1[0] + 2 * k2[0] + 2 * k3[0] + k4[0],
+            k1[1] + 2 * k2[1] + 2 * k3[1] + k4[1],
+            k1[2] + 2 * k2[2] + 2 * k3[2] + k4[2],
+        )
+        rates = plus(rates, step / 6.0, slopes)
     return rates
 
 

@@ -12,7 +12,6 @@ from bulletuav.compiled.program import Program
 from bulletuav.geometry.closest_approach import (
     closest_squared_distances,
     insert_nearest,
-    insert_nearest_by_index,
 )
 from bulletuav.geometry.grid import (
     MIN_POINTS,
@@ -348,7 +347,7 @@ def _write_all_nearest(
                     theirs = (vec3(position, w, j), vec3(velocity, w, j))
                     distance = _min_distance_within(theirs, own, horizon)
                     if j != i:
-                        found = insert_nearest_by_index(near, least, found, j, distance)
+                        found = insert_nearest(near, least, found, j, distance)
             if found == wanted and least[found - 1] <= radius - closer:
                 break
             if is_whole(grid, box):
