@@ -28,11 +28,12 @@ from bulletuav.report.replay import REPLAY, replay_run
 from bulletuav.tasks import find_task
 from bulletuav.tasks.base import Task
 
-CAPTION = (
-    "values at the last decision of each drone; nearest: minimum distance to another drone; "
-    "conflicts, collisions: totals of the episode"
-)
-"""Explanation of the numbers below the table"""
+EXPLAINED = {
+    "nearest (m)": "nearest: minimum distance to another drone",
+    "conflicts": "conflicts: total of the episode",
+    "collisions": "collisions: total of the episode",
+}
+"""Explanations of columns of the table, by heading"""
 
 
 def run(arguments: argparse.Namespace) -> None:
@@ -132,10 +133,11 @@ def _table(recording: Recording, aviary: Aviary, seed: int) -> Table:
     options = aviary.options
     flown = Conditions(task.name, options.difficulty, options.dynamics_name, 1, seed)
     shows = shown_infos(task)
+    explained = [text for heading, text in EXPLAINED.items() if heading in shows.values()]
     table = Table(
         title=f"{flown}, drones: {aviary.num_drones}, action {options.action}, "
         f"d_safe {task.config.d_safe:g} m",
-        caption=CAPTION,
+        caption="; ".join(["values at the last decision of each drone", *explained]),
     )
     for heading in ("drone", *shows.values(), "time (s)"):
         table.add_column(heading, justify="right")

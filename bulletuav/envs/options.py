@@ -157,7 +157,7 @@ class EnvOptions:
             without gravity).
         rays: Ray casting of sensors: "compiled" (exact and fast), or "bullet" (Bullet's
             `rayTestBatch`, for comparison: slower, and shapes are larger by up to 1e-4 of their
-            size, and 1 mm). Rays against drones are always compiled.
+            size, and 1 mm). Rays against drones and loads are always compiled.
         contacts: Contact model: "impulse" (drones are pushed, slide and rest), "stop" (a drone
             stays at the contact until the decision ends), or "bullet" (Bullet's own contacts, for
             comparison). None for the first one that the dynamics supports.

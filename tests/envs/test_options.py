@@ -6,6 +6,7 @@ import pytest
 import bulletuav
 from bulletuav.envs.env_spec import EnvSpec
 from bulletuav.tasks.crossing import Crossing
+from bulletuav.tasks.parts.city_layouts import open_ground
 
 BAD = [
     ("hover", {"num_drones": 0}, "num_drones is 0"),
@@ -147,6 +148,8 @@ BAD = [
     ("coverage", {"pad_radius": 1.0}, "no effect, as charging_pads is 0"),
     ("coverage", {"city": "hills", "irregularity": 0.5}, "city 'hills' has no generated streets"),
     ("coverage", {"city": {"kind": "forest"}, "irregularity": 0.5}, "no generated streets"),
+    ("patrol", {"city": open_ground((99.0, 99.0)), "num_layouts": 2}, "'open' is already complete"),
+    ("coverage", {"city": open_ground((99.0, 99.0)), "area": 90.0}, "area .* is already complete"),
     ("search", {"num_drones": 1, "radio_range": 20.0}, "no effect, as num_drones is 1"),
     ("crosing", {}, "unknown task 'crosing': did you mean 'crossing'"),
 ]

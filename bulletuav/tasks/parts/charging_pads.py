@@ -33,8 +33,8 @@ class ChargingPads(Part):
     Drones may touch the ground, as with `take_off`; see `Frame.landed`. A standing drone consumes
     less power only with energy="actuator", as the formula "zeng" does not depend on thrust.
 
-    The info "charging" is 1 for drones that are being charged. Positions of the pads, and whether
-    they are taken, are in the global state.
+    The info "charging" is 1 for drones on pads, which are charged in the next decision. Positions
+    of the pads, and whether they are taken, are in the global state.
 
     Attributes:
         count: Number of pads.

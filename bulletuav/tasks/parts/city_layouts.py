@@ -105,14 +105,19 @@ class CityOptions:
     pad_height: float = 3.0
 
     def idle_options(self, num_drones: int) -> Mapping[str, str]:
-        """Return the options of pads and streets that are missing; see `TaskConfig`."""
+        """Return the options of missing pads, and of cities that are not generated."""
         idle = {}
         if not has_pads(self):
             idle = dict.fromkeys(("pad_power", "pad_radius", "pad_height"), "charging_pads is 0")
         kind = self.city
-        is_named = isinstance(kind, str) and kind in (*TERRAINS, OPEN)
-        if is_named or isinstance(kind, Mapping | Path | City):
-            idle["irregularity"] = f"city {shown(kind)} has no generated streets"
+        text = f"city {shown(kind.name if isinstance(kind, City) else kind)}"
+        is_name = isinstance(kind, str)
+        if isinstance(kind, Path | City) or (is_name and Path(kind).suffix.lower() in READERS):
+            # Of a file, or made by a user
+            names = ("area", "num_layouts", "city_seed", "irregularity")
+            idle |= dict.fromkeys(names, f"{text} is already complete")
+        elif isinstance(kind, Mapping) or (is_name and kind in (*TERRAINS, OPEN)):
+            idle["irregularity"] = f"{text} has no generated streets"
         return idle
 
 
