@@ -2,7 +2,8 @@
 
 A call of compiled code from Python checks the type of every array, which takes longer than a
 substep of a drone. A program checks types once: it stores the addresses of arrays, and runs its
-calls without Python in between. Python callbacks may be inserted between compiled calls.
+calls without Python in between. Python callbacks may be inserted between compiled calls. Calls whose items
+are independent can be computed by several threads; see `bulletuav.compiled.threads`.
 """
 
 import ctypes
@@ -21,6 +22,7 @@ from bulletuav.compiled.dispatcher import Dispatcher
 from bulletuav.compiled.kernel import InMemory, kernel
 from bulletuav.compiled.plain import SWITCH
 from bulletuav.compiled.specialisation import TupleKey, specialisation_key, type_from_key
+from bulletuav.compiled.threads import CHUNKS, TEAM, run_shared
 
 Callback = Callable[[], None]
 """A Python callback, a step of a program that needs Python"""
@@ -49,11 +51,14 @@ class Program:
     Arrays are read and written in place: they must not be replaced.
 
     Attributes:
+        threads: Number of threads that compute the calls made by `shared`.
         table: (K, 2) addresses of each call, for `run_calls`; written by the first run.
     """
 
-    def __init__(self) -> None:
-        """Create an empty program."""
+    def __init__(self, threads: int = 1) -> None:
+        """Create an empty program for a number of threads, including the one that runs it."""
+        self.threads = 1 if SWITCH.is_on else threads
+        self._jobs: list[Any] = []
         self._calls: list[_Call] = []
         self._words: list[np.ndarray] = []
         self.table = np.zeros((0, 2), dtype=np.int64)
@@ -69,6 +74,32 @@ class Program:
             otherwise: Python callback that runs right after the function if it returns True.
         """
         self._calls.append(_Call(kernel, arguments, [] if otherwise is None else [otherwise]))
+
+    def shared(
+        self, kernel: Callable[..., Any], size: int, *arguments: Any, own: Sequence[Any] = ()
+    ) -> tuple[Any, ...]:
+        """Return the function and arguments, for `call`, of a call that all threads share.
+
+        Args:
+            kernel: Function of (first, last, *arguments, *own) that returns nothing. It computes
+                the items from `first` to before `last`, in any order, and writes nothing else.
+            size: Number of items; few items, each of which takes a microsecond or more, are best.
+            *arguments: Arguments of all threads.
+            own: Arguments of each thread, a tuple for each; the kernel may write scratch arrays in
+                them. Can be left out if there are none.
+        """
+        chunks = min(size, CHUNKS * self.threads)
+        if self.threads == 1 or chunks < 2:
+            return (kernel, 0, size, *arguments, *(own[0] if own else ()))
+        every = [(0, 0, *arguments, *one) for one in own or [()] * self.threads]
+        job = np.zeros((self.threads, 2), dtype=np.int64)
+        known: dict[int, np.ndarray] = {}
+        words = [_words_of(kernel, one, known) for one in every]
+        for row, (caller, numbers) in zip(job, words, strict=True):
+            row[:] = caller, numbers.ctypes.data
+        # Machine code has the addresses of all of these
+        self._jobs.append((job, words, known, every))
+        return (run_shared, TEAM.address, job.ctypes.data, size, chunks, self.threads)
 
     def callback(self, callback: Callback) -> None:
         """Add a Python callback; consecutive callbacks are one step of the program."""
@@ -94,6 +125,8 @@ class Program:
             return
         if len(self.table) != len(self._calls):
             self.compile()
+        if self.threads > 1:
+            TEAM.require(self.threads)
         last = len(self._calls) - 1
         k = run_calls(self.table, 0)
         while k >= 0:
@@ -137,6 +170,22 @@ class Program:
                 kept.append(words)
         # Assigned together, so that an interrupt cannot leave an incomplete table
         self._words, self.table = [*kept, *records.values()], table
+
+
+def _words_of(
+    function: Any, arguments: tuple[Any, ...], records: dict[int, np.ndarray]
+) -> tuple[int, np.ndarray]:
+    """Return the caller of a function, and the words of a call of it; `records` keeps records."""
+    address, caller = _addresses(function, tuple(map(specialisation_key, arguments)))
+    numbers = [address]
+    for one in arguments:
+        if is_nested(one):
+            if id(one) not in records:
+                records[id(one)] = _record(one)
+            numbers.append(records[id(one)].ctypes.data)
+        else:
+            numbers += _flat(one, {})
+    return caller, np.array(numbers, dtype=np.int64)
 
 
 class ByWorld:

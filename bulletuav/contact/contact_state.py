@@ -97,6 +97,10 @@ class ContactState(NamedTuple):
     turns: ObstacleTurns
     memory: ContactCache
 
+    def for_thread(self) -> "ContactState":
+        """Return the same state with arrays to work on for another thread."""
+        return self._replace(space=make_contact_workspace(self.budget.shape[1]))
+
 
 def make_contact_state(
     scenery: Scenery,

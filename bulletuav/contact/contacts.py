@@ -21,8 +21,8 @@ from bulletuav.vehicle.swarm import CITY, GROUND, Contacts, DroneArrays, Swarm, 
 
 
 @func
-def save_start_state(contact: ContactState, swarm: Swarm, w: int) -> None:
-    """Copy the state of a world at the beginning of a substep."""
+def save_start_state(contact: ContactState, swarm: Swarm, w: int, low: int, high: int) -> None:
+    """Copy the state of drones `low` to before `high` at the beginning of a substep."""
     start = contact.start
     # Read the arrays once: the compiler cannot know that writing to them does not change them
     position, quaternion, velocity, rates = (
@@ -31,7 +31,7 @@ def save_start_state(contact: ContactState, swarm: Swarm, w: int) -> None:
         (start.velocity, swarm.velocity),
         (start.rates, swarm.rates),
     )
-    for i in range(position[0].shape[1]):
+    for i in range(low, high):
         for k in range(3):
             position[0][w, i, k] = position[1][w, i, k]
             velocity[0][w, i, k] = velocity[1][w, i, k]
@@ -88,13 +88,13 @@ def step_contacts(
     Returns:
         True if there was any impact.
     """
-    if not update_budgets(contact, drones.swarm, drones.alive, w, step.dt):
+    if not update_budgets(contact, drones.swarm, drones.alive, w, step.dt, 0, drones.alive.shape[1]):
         return False
-    return _resolve_world(contact, drones, w, substep, step)
+    return resolve_world(contact, drones, w, substep, step)
 
 
 @kernel
-def _resolve_world(
+def resolve_world(
     contact: ContactState, drones: DroneArrays, w: int, substep: int, step: TimeStep
 ) -> bool:
     """Resolve the contacts of a world in which drones have to be checked; see `step_contacts`."""
@@ -149,7 +149,7 @@ def step_all_contacts(
 def save_all_start_states(contact: ContactState, swarm: Swarm) -> None:
     """Copy the state of all worlds at the beginning of a substep."""
     for w in range(swarm.position.shape[0]):
-        save_start_state(contact, swarm, w)
+        save_start_state(contact, swarm, w, 0, swarm.position.shape[1])
 
 
 @func

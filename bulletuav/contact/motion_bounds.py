@@ -60,7 +60,13 @@ def _bound_rotation_sweep(contact: ContactState, swarm: Swarm, w: int, i: int) -
 
 @func
 def update_budgets(
-    contact: ContactState, swarm: Swarm, alive: np.ndarray, w: int, dt: float
+    contact: ContactState,
+    swarm: Swarm,
+    alive: np.ndarray,
+    w: int,
+    dt: float,
+    low: int,
+    high: int,
 ) -> bool:
     """Subtract the motion of a substep from the budgets, and check whether any is used up.
 
@@ -72,6 +78,8 @@ def update_budgets(
         alive: (W, N) bool, drones that can be touched.
         w: Index of the world.
         dt: Length of the substep, s.
+        low: Index of the first drone.
+        high: Index after the last drone.
 
     Returns:
         True if the world needs contact detection in this substep: a budget is used up, or an
@@ -80,7 +88,7 @@ def update_budgets(
     found = False
     before = contact.start.position
     obstacle_displacement = contact.speed[w] * dt
-    for i in range(alive.shape[1]):
+    for i in range(low, high):
         contact.changed[w, i] = False
         if not alive[w, i]:
             continue

@@ -162,6 +162,8 @@ class Dynamics(ABC):
             those of the flight.
         sleeps: Whether drones at rest are put to sleep until their forces change, see
             `bulletuav.contact.contact_state.bears`.
+        has_threads: Whether several threads can fly a decision; `add_flight` then makes its calls
+            by `Program.shared`.
         flight: Constructor argument: worlds, drone parameters, controllers and time step.
         contact: State of the contact solver.
         force: (W, N, 3) external force on each drone, world axes, N; zero unless written.
@@ -185,6 +187,7 @@ class Dynamics(ABC):
     feels_cables: ClassVar[bool] = False
     contacts: ClassVar[tuple[str, ...]] = ("stop", "impulse")
     sleeps: ClassVar[bool] = False
+    has_threads: ClassVar[bool] = False
 
     def __init_subclass__(cls, **keywords: Any) -> None:
         super().__init_subclass__(**keywords)

@@ -42,6 +42,7 @@ class Blocks(NamedTuple):
             drones.
         decay: (G, N, 6) decay factors of the rotor lag, written by `lag_stages`.
         lag: (B, 6, `WIDTH`) the same factors by block.
+        sleeping: (D,) bool, drones that slept at the beginning of the substep.
         flown: (B,) bool, whether the marked drones of a block are integrated together.
         alike: (B,) bool, whether all drones of a block have the same number of rotors.
         has_rotors: (D,) bool, bodies of such blocks that are no loads.
@@ -64,6 +65,7 @@ class Blocks(NamedTuple):
     held: np.ndarray
     decay: np.ndarray
     lag: np.ndarray
+    sleeping: np.ndarray
     flown: np.ndarray
     alike: np.ndarray
     has_rotors: np.ndarray
@@ -100,6 +102,7 @@ class Blocks(NamedTuple):
             held=lane_zeros(blocks, 12),
             decay=np.zeros((worlds, num_drones, 6)),
             lag=lane_zeros(blocks, 6),
+            sleeping=np.zeros(blocks * WIDTH, dtype=bool),
             flown=np.zeros(blocks, dtype=bool),
             alike=np.zeros(blocks, dtype=bool),
             has_rotors=np.zeros(blocks * WIDTH, dtype=bool),
@@ -114,19 +117,28 @@ class Blocks(NamedTuple):
             steering=Steering.of(cascade, blocks),
         )
 
+    def for_thread(self) -> "Blocks":
+        """Return the same blocks for another thread, with its own scratch arrays."""
+        own = {name: getattr(self, name).copy() for name in ("rotors", "alone", "state")}
+        steering = self.steering
+        steering = steering._replace(remembered=steering.remembered.copy())
+        return self._replace(steering=steering, **own)
+
 
 @kernel
-def pack_blocks(blocks: Any, air: Any, first: int) -> None:
+def pack_blocks(blocks: Any, air: Any, first: int, begin: int, end: int) -> None:
     """Pack the parameters, rotor lag and air of a group's drones into blocks, once a decision.
 
     Args:
         blocks: `Blocks` with `decay` already written.
         air: `Air` of all worlds.
         first: Number of the group's first drone, counted over all worlds.
+        begin: Index of the first block to pack.
+        end: Index after the last block to pack.
     """
     # The last group may have fewer worlds
-    count = min(-(-(blocks.rows.size - first) // WIDTH), blocks.packed.shape[0])
-    for b in range(count):
+    count = min(-(-(blocks.rows.size - first) // WIDTH), end)
+    for b in range(begin, count):
         drone = first + b * WIDTH
         copy_numbers(blocks.numbers, drone, blocks.packed, b)
         copy_numbers(blocks.decay, b * WIDTH, blocks.lag, b)
@@ -141,14 +153,14 @@ def pack_blocks(blocks: Any, air: Any, first: int) -> None:
         for r in range(air.rotor_ratio.shape[2]):
             ratio[r] = gathered(air.rotor_ratio, drone, r)
         blocks.alike[b] = _are_alike(blocks, drone, b * WIDTH)
-    pack_surface(blocks, air, first)
+    pack_surface(blocks, air, first, begin, end)
 
 
 @kernel
-def pack_surface(blocks: Any, air: Any, first: int) -> None:
+def pack_surface(blocks: Any, air: Any, first: int, begin: int, end: int) -> None:
     """Pack the heights of the surface below a group's drones; see `pack_blocks`."""
-    count = min(-(-(blocks.rows.size - first) // WIDTH), blocks.packed.shape[0])
-    for b in range(count):
+    count = min(-(-(blocks.rows.size - first) // WIDTH), end)
+    for b in range(begin, count):
         lanes_of(blocks.held, b)[3] = gathered(air.surface, first + b * WIDTH, 0)
 
 

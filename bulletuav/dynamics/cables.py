@@ -172,6 +172,11 @@ class Cables(NamedTuple):
             return {}
         return {f"cable {name}": getattr(self, name) for name in KEPT}
 
+    def for_thread(self) -> "Cables":
+        """Return the same cables with arrays to work on for another thread."""
+        sizes = (self.is_tied.shape[1], self.work.speed.shape[1], self.length.shape[1])
+        return self._replace(work=CableWork.of(*sizes))
+
 
 def make_cables(shape: tuple[int, int, int], num_cables: int) -> Cables:
     """Allocate C entries without cables in each world.

@@ -19,10 +19,12 @@ from typing import ClassVar
 import numpy as np
 
 from bulletuav.compiled.functions import exp
-from bulletuav.compiled.kernel import allocating, func, in_memory, kernel
+from bulletuav.compiled.kernel import func, in_memory, kernel
 from bulletuav.compiled.program import Program
+from bulletuav.compiled.threads import CACHE_LINE
 from bulletuav.contact.contact_state import ContactState
-from bulletuav.contact.contacts import save_start_state, step_contacts
+from bulletuav.contact.contacts import resolve_world, save_start_state, step_contacts
+from bulletuav.contact.motion_bounds import update_budgets
 from bulletuav.control.cascade import command_kinematic
 from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.dynamics.base import Decision, Dynamics
@@ -217,52 +219,160 @@ def _pieces(kind: int, levels: np.ndarray, w: int, substeps: int) -> int:
     return 1
 
 
-@allocating
-def advance_kinematic(decision: Decision, contact: ContactState, kind: int) -> None:
-    """Fly all substeps of one decision in all worlds.
+@func
+def _write_constants(
+    decision: Decision, constants: np.ndarray, w: int, low: int, high: int
+) -> None:
+    """Write the constants of the drones from `low` to before `high` of world w, once a decision."""
+    drones, gravity = decision.drones, decision.air.gravity
+    for i in range(low, high):
+        gain = decision.cascade.gains[w, i]
+        constants[i] = _constants(drones.swarm, w, i, drones.parameters[w, i], gain, gravity)
+
+
+@func
+def _fly_drones(
+    decision: Decision,
+    contact: ContactState,
+    kind: int,
+    constants: np.ndarray,
+    w: int,
+    low: int,
+    high: int,
+    dt: float,
+) -> None:
+    """Fly the drones from `low` to before `high` of world w along one segment, without contacts."""
+    drones, setpoints, cascade = decision.drones, decision.setpoints, decision.cascade
+    swarm, alive, parameters, air = drones.swarm, drones.alive, drones.parameters, decision.air
+    accelerates = kind == DOUBLE_INTEGRATOR
+    save_start_state(contact, swarm, w, low, high)
+    for i in range(low, high):
+        if not alive[w, i] or contact.stopped[w, i]:
+            continue
+        # The drone is level, with the commanded yaw
+        position, quaternion, velocity, rates = get_state(swarm, w, i)
+        wanted = quat4(setpoints.value, w, i)
+        wind = vec3(air.wind, w, i)
+        # Setpoints are net of the gravity that controllers know
+        unknown = (0.0, 0.0, air.gravity - air.local_gravity[w, i])
+        pull = plus(unknown, 1.0 / parameters[w, i].mass, vec3(air.force, w, i))
+        quaternion = from_euler(0.0, 0.0, wanted[3])
+
+        gain = cascade.gains[w, i]
+        level = setpoints.level[w, i]
+        target = command_kinematic(level, accelerates, wanted, position, velocity, gain)
+        lag, drag, most = point(constants, i)
+        velocity, moved = _advance_point(
+            kind, target, velocity, wind, pull, gain.max_speed, lag, drag, most, dt
+        )
+        position = plus(position, 1.0, moved)
+        set_state(swarm, w, i, (position, quaternion, velocity, rates))
+
+
+@kernel
+def advance_kinematic(
+    first: int,
+    last: int,
+    decision: Decision,
+    contact: ContactState,
+    kind: int,
+    constants: np.ndarray,
+) -> None:
+    """Fly all substeps of one decision in the worlds from `first` to before `last`.
 
     Args:
+        first: Index of the first world.
+        last: Index after the last world.
         decision: Inputs of the decision; only the gains of its controllers are used.
         contact: State of the contact solver.
         kind: POINT_MASS, SINGLE_INTEGRATOR or DOUBLE_INTEGRATOR.
+        constants: (N, 3) work array.
     """
     decision, contact = in_memory(decision), in_memory(contact)
-    drones, setpoints, cascade = decision.drones, decision.setpoints, decision.cascade
-    swarm, alive, parameters = drones.swarm, drones.alive, drones.parameters
-    air, step = decision.air, decision.step
-    accelerates = kind == DOUBLE_INTEGRATOR
-    constants = np.empty((alive.shape[1], 3))
-    for w in range(alive.shape[0]):
-        for i in range(alive.shape[1]):
-            gain = cascade.gains[w, i]
-            constants[i] = _constants(swarm, w, i, parameters[w, i], gain, air.gravity)
-        pieces = _pieces(kind, setpoints.level, w, step.substeps)
+    drones, step = decision.drones, decision.step
+    num_drones = drones.alive.shape[1]
+    for w in range(first, last):
+        _write_constants(decision, constants, w, 0, num_drones)
+        pieces = _pieces(kind, decision.setpoints.level, w, step.substeps)
         dt = step.dt * (step.substeps // pieces)
         straight = in_memory(TimeStep(pieces, dt))
         for piece in range(pieces):
-            save_start_state(contact, swarm, w)
-            for i in range(alive.shape[1]):
-                if not alive[w, i] or contact.stopped[w, i]:
-                    continue
-                # The drone is level, with the commanded yaw
-                position, quaternion, velocity, rates = get_state(swarm, w, i)
-                wanted = quat4(setpoints.value, w, i)
-                wind = vec3(air.wind, w, i)
-                # Setpoints are net of the gravity that controllers know
-                unknown = (0.0, 0.0, air.gravity - air.local_gravity[w, i])
-                pull = plus(unknown, 1.0 / parameters[w, i].mass, vec3(air.force, w, i))
-                quaternion = from_euler(0.0, 0.0, wanted[3])
-
-                gain = cascade.gains[w, i]
-                level = setpoints.level[w, i]
-                target = command_kinematic(level, accelerates, wanted, position, velocity, gain)
-                lag, drag, most = point(constants, i)
-                velocity, moved = _advance_point(
-                    kind, target, velocity, wind, pull, gain.max_speed, lag, drag, most, dt
-                )
-                position = plus(position, 1.0, moved)
-                set_state(swarm, w, i, (position, quaternion, velocity, rates))
+            _fly_drones(decision, contact, kind, constants, w, 0, num_drones, dt)
             step_contacts(contact, drones, w, piece, straight)
+
+
+@kernel
+def start_points(decision: Decision, kind: int, progress: np.ndarray) -> None:
+    """Start a decision of a single world.
+
+    Args:
+        decision: Inputs of the decision.
+        kind: POINT_MASS, SINGLE_INTEGRATOR or DOUBLE_INTEGRATOR.
+        progress: (2,) index of the present segment, and number of segments; written.
+    """
+    progress[0] = 0
+    progress[1] = _pieces(kind, decision.setpoints.level, 0, decision.step.substeps)
+
+
+@kernel
+def fly_points(
+    low: int,
+    high: int,
+    decision: Decision,
+    contact: ContactState,
+    kind: int,
+    constants: np.ndarray,
+    progress: np.ndarray,
+    found: np.ndarray,
+) -> None:
+    """Fly some drones of a single world along a segment, without contacts.
+
+    Args:
+        low: Index of the first drone.
+        high: Index after the last drone.
+        decision: Inputs of the decision.
+        contact: State of the contact solver.
+        kind: POINT_MASS, SINGLE_INTEGRATOR or DOUBLE_INTEGRATOR.
+        constants: (N, 3) work array.
+        progress: (2,) see `start_points`.
+        found: (1,) set to 1 if a drone's motion budget is used up.
+    """
+    decision, contact = in_memory(decision), in_memory(contact)
+    drones, step = decision.drones, decision.step
+    if progress[0] == progress[1]:
+        return
+    if progress[0] == 0:
+        _write_constants(decision, constants, 0, low, high)
+    dt = step.dt * (step.substeps // progress[1])
+    _fly_drones(decision, contact, kind, constants, 0, low, high, dt)
+    if update_budgets(contact, drones.swarm, drones.alive, 0, dt, low, high):
+        found[0] = 1
+
+
+@kernel
+def finish_points(
+    decision: Decision, contact: ContactState, progress: np.ndarray, found: np.ndarray
+) -> None:
+    """Resolve the contacts of a single world at the end of a segment.
+
+    Args:
+        decision: Inputs of the decision.
+        contact: State of the contact solver.
+        progress: (2,) see `start_points`; advanced.
+        found: (T, 8) what `fly_points` found on each thread; cleared.
+    """
+    decision, contact = in_memory(decision), in_memory(contact)
+    if progress[0] == progress[1]:
+        return
+    is_found = False
+    for thread in range(found.shape[0]):
+        is_found |= found[thread, 0] > 0
+        found[thread, 0] = 0
+    if is_found:
+        step = decision.step
+        straight = in_memory(TimeStep(progress[1], step.dt * (step.substeps // progress[1])))
+        resolve_world(contact, decision.drones, 0, progress[0], straight)
+    progress[0] += 1
 
 
 @kernel
@@ -286,6 +396,7 @@ class Kinematic(Dynamics):
 
     kind: ClassVar[int]
     contacts: ClassVar[tuple[str, ...]] = ("stop",)
+    has_threads = True
 
     def _add_start(self, program: Program, swarm: Swarm, mask: np.ndarray) -> None:
         """Add calls that also set level attitudes and zero rates; see the base class."""
@@ -293,8 +404,32 @@ class Kinematic(Dynamics):
         super()._add_start(program, swarm, mask)
 
     def add_flight(self, program: Program, decision: Decision) -> None:
-        """Add all substeps as one compiled call; see the base class."""
-        program.call(advance_kinematic, decision, self.contact, self.kind)
+        """Add all substeps as one compiled call; see the base class.
+
+        Several threads fly worlds, or the drones of a single world segment by segment.
+        """
+        worlds, drones = decision.drones.alive.shape
+        if program.threads > 1 and worlds == 1:
+            self._add_points(program, decision)
+            return
+        contact, own = self.contact, []
+        for _ in range(program.threads):
+            own.append((contact, self.kind, np.empty((drones, 3))))
+            contact = contact.for_thread()
+        program.call(*program.shared(advance_kinematic, worlds, decision, own=own))
+
+    def _add_points(self, program: Program, decision: Decision) -> None:
+        """Add the segments of a single world, whose drones several threads fly."""
+        drones = decision.drones.alive.shape[1]
+        constants, progress = np.empty((drones, 3)), np.zeros(2, dtype=np.int64)
+        found = np.zeros((program.threads, CACHE_LINE), dtype=np.int64)
+        given = (decision, self.contact, self.kind, constants, progress)
+        own = [(one,) for one in found]
+        flight = program.shared(fly_points, drones, *given, own=own)
+        program.call(start_points, decision, self.kind, progress)
+        for _ in range(decision.step.substeps):
+            program.call(*flight)
+            program.call(finish_points, decision, self.contact, progress, found)
 
 
 @register("dynamics")

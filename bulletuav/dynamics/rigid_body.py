@@ -6,16 +6,18 @@ below is sampled once a decision. That is exact over level ground; past an edge 
 lags by up to one decision (at 20 m/s and 10 Hz, 2 m of flight).
 """
 
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
 from bulletuav.compiled.kernel import func, in_memory, kernel
 from bulletuav.compiled.lanes import WIDTH
 from bulletuav.compiled.program import Program
+from bulletuav.compiled.threads import CACHE_LINE
 from bulletuav.contact.contact_state import ContactState, stays_asleep
 from bulletuav.contact.contact_state import wake_drone as rouse
-from bulletuav.contact.contacts import save_start_state, step_contacts
+from bulletuav.contact.contacts import resolve_world, save_start_state, step_contacts
+from bulletuav.contact.motion_bounds import update_budgets
 from bulletuav.control.cascade import command_rotors
 from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.dynamics.base import Decision, Dynamics, surroundings
@@ -70,45 +72,64 @@ def _fly_alone(
     set_state(swarm, w, i, state)
 
 
+class Part(NamedTuple):
+    """Drones of a group of worlds that one thread flies.
+
+    Attributes:
+        first: Index of the group's first world.
+        last: Index after the group's last world.
+        low: Index of the first drone, in all of these worlds.
+        high: Index after the last drone.
+        begin: Index of the first block.
+        end: Index after the last block.
+    """
+
+    first: int
+    last: int
+    low: int
+    high: int
+    begin: int
+    end: int
+
+
 @func
 def _mark(
     drones: DroneArrays,
     contact: ContactState,
     blocks: Blocks,
     tied: np.ndarray,
-    first: int,
-    last: int,
+    part: Part,
     dt: float,
 ) -> None:
-    """Mark the drones to integrate in blocks, of the worlds from `first` to before `last`."""
+    """Mark the drones to integrate in blocks, and those that sleep."""
     # Read the array addresses once: the compiler must assume that writes could change them
     alive, spin = drones.alive, drones.swarm.rates
     stopped, asleep = contact.stopped, contact.asleep
     together, alike, has_rotors = blocks.together, blocks.alike, blocks.has_rotors
-    drone = 0
-    for w in range(first, last):
-        for i in range(alive.shape[1]):
+    sleeping = blocks.sleeping
+    drone = part.begin * WIDTH
+    for w in range(part.first, part.last):
+        for i in range(part.low, part.high):
             rates = vec3(spin, w, i)
             still = stopped[w, i] | asleep[w, i] | tied[w, i]
             calm = dot(rates, rates) * dt * dt < CALM * CALM
             # Branches would be slower
             flies = alive[w, i] & calm & (not still)
             together[drone] = flies & alike[drone // WIDTH] & has_rotors[drone]
+            sleeping[drone] = asleep[w, i]
             drone += 1
-    for k in range(drone, blocks.together.shape[0]):
+    for k in range(drone, part.end * WIDTH):
         blocks.together[k] = False
-    for b in range(blocks.packed.shape[0]):
+    for b in range(part.begin, part.end):
         blocks.flown[b] = has_enough(blocks.together, b)
 
 
 @func
-def _steer_blocks(
-    decision: Decision, contact: ContactState, blocks: Blocks, first: int, last: int
-) -> None:
+def _steer_blocks(decision: Decision, contact: ContactState, blocks: Blocks, part: Part) -> None:
     """Run the controllers of blocks that are not integrated together, such as of tied drones."""
     alive, stopped, steered = decision.drones.alive, contact.stopped, blocks.steered
-    num_drones = alive.shape[1]
-    for b in range(blocks.packed.shape[0]):
+    num_drones, first, last = alive.shape[1], part.first, part.last
+    for b in range(part.begin, part.end):
         is_apart = blocks.flown[b] or not blocks.alike[b] or blocks.steering.level[b] == ALONE
         for k in range(b * WIDTH, (b + 1) * WIDTH):
             w, i = first + k // num_drones, k % num_drones
@@ -127,9 +148,9 @@ def start_worlds(decision: Decision, blocks: Blocks, first: int, last: int) -> N
     for w in range(first, last):
         lag_stages(drones.parameters, w, decision.step.dt, blocks.decay[w - first])
     if drones.alive.size >= FEWEST:
-        drone = first * drones.alive.shape[1]
-        pack_blocks(blocks, decision.air, drone)
-        pack_steering(blocks.steering, decision.setpoints, drone)
+        drone, count = first * drones.alive.shape[1], blocks.packed.shape[0]
+        pack_blocks(blocks, decision.air, drone, 0, count)
+        pack_steering(blocks.steering, decision.setpoints, drone, 0, count)
 
 
 @func
@@ -153,48 +174,89 @@ def fly_worlds(
         last: The world after the last one.
         substep: Index of the substep in the decision.
     """
-    drones, setpoints, cascade = decision.drones, decision.setpoints, decision.cascade
-    air, step = decision.air, decision.step
-    swarm, alive, parameters = drones.swarm, drones.alive, drones.parameters
-    dt = step.dt
-    num_drones = alive.shape[1]
-    leeway = LIST_SKIN if step.substeps > 1 else 0.0
-    _mark(drones, contact, blocks, cables.is_tied, first, last, dt)
-    # Wakes and commands of all drones are computed before any drone moves
-    if num_drones > 1:
-        sum_wakes(swarm, alive, parameters, first, last, substep > 0, leeway, blocks.wakes)
-    _steer_blocks(decision, contact, blocks, first, last)
+    part = Part(first, last, 0, decision.drones.alive.shape[1], 0, blocks.packed.shape[0])
+    _sum_wakes(decision, blocks, first, last, substep)
+    _fly_part(decision, contact, blocks, cables, part)
+    _fly_rest(decision, contact, blocks, cables, part, True)
     for w in range(first, last):
-        save_start_state(contact, swarm, w)
-        for i in range(num_drones):
+        if cables.num_groups[w] > 0:
+            fly_tied(decision, blocks, cables, contact, w, first)
+
+
+@func
+def _sum_wakes(decision: Decision, blocks: Blocks, first: int, last: int, substep: int) -> None:
+    """Compute the wakes on the drones of some worlds, before any drone moves."""
+    drones, substeps = decision.drones, decision.step.substeps
+    if drones.alive.shape[1] > 1:
+        leeway = LIST_SKIN if substeps > 1 else 0.0
+        swarm, alive, parameters = drones.swarm, drones.alive, drones.parameters
+        sum_wakes(swarm, alive, parameters, first, last, substep > 0, leeway, blocks.wakes)
+
+
+@func
+def _fly_part(
+    decision: Decision, contact: ContactState, blocks: Blocks, cables: Cables, part: Part
+) -> None:
+    """Fly one substep of drones that neither sleep nor are tied; they do not affect each other."""
+    drones, setpoints, cascade = decision.drones, decision.setpoints, decision.cascade
+    air, dt = decision.air, decision.step.dt
+    swarm, alive, parameters = drones.swarm, drones.alive, drones.parameters
+    num_drones, first = alive.shape[1], part.first
+    _mark(drones, contact, blocks, cables.is_tied, part, dt)
+    # Commands of the part are computed before any of its drones moves
+    _steer_blocks(decision, contact, blocks, part)
+    for w in range(first, part.last):
+        save_start_state(contact, swarm, w, part.low, part.high)
+        for i in range(part.low, part.high):
             if alive[w, i] and not contact.stopped[w, i]:
                 drone = (w - first) * num_drones + i
                 command = blocks.command[w - first, i]
                 steered = blocks.steered[drone] or is_steered(blocks, drone)
                 if not steered and parameters[w, i].num_rotors > 0:
                     command_rotors(cascade, setpoints, swarm, w, i, dt, air.gravity, command)
-
-    # From here on drones do not interact until contacts are resolved
-    for b in range(blocks.packed.shape[0]):
+    for b in range(part.begin, part.end):
         if blocks.flown[b]:
             fly_block(blocks, first * num_drones, b, air.gravity, dt)
-    for w in range(first, last):
-        for i in range(num_drones):
-            moved = blocks.together[(w - first) * num_drones + i] or cables.is_tied[w, i]
-            if alive[w, i] and not contact.stopped[w, i] and not moved:
-                _fly_alone(decision, contact, blocks, first, w, i)
+    _fly_rest(decision, contact, blocks, cables, part, False)
 
-        if cables.num_groups[w] > 0:
-            fly_tied(decision, blocks, cables, contact, w, first)
+
+@kernel
+def _fly_rest(
+    decision: Decision,
+    contact: ContactState,
+    blocks: Blocks,
+    cables: Cables,
+    part: Part,
+    is_asleep: bool,
+) -> None:
+    """Fly drones one by one that are not in blocks: those that sleep, or all others.
+
+    Drones that sleep come last, in their order, as a drone that wakes also wakes others.
+    """
+    alive, num_drones = decision.drones.alive, decision.drones.alive.shape[1]
+    for w in range(part.first, part.last):
+        for i in range(part.low, part.high):
+            drone = (w - part.first) * num_drones + i
+            moved = blocks.together[drone] or cables.is_tied[w, i]
+            flies = alive[w, i] and not contact.stopped[w, i] and not moved
+            if flies and blocks.sleeping[drone] == is_asleep:
+                _fly_alone(decision, contact, blocks, part.first, w, i)
 
 
 @kernel
 def advance_rigid_body(
-    decision: Decision, contact: ContactState, blocks: Blocks, cables: Cables
+    begin: int,
+    end: int,
+    decision: Decision,
+    contact: ContactState,
+    blocks: Blocks,
+    cables: Cables,
 ) -> None:
-    """Fly all substeps of one decision in all worlds.
+    """Fly all substeps of one decision in some groups of worlds.
 
     Args:
+        begin: Index of the first group.
+        end: Index after the last group.
         decision: Inputs of the decision.
         contact: State of the contact solver.
         blocks: Work arrays for a group of worlds.
@@ -205,7 +267,8 @@ def advance_rigid_body(
     drones, step = decision.drones, decision.step
     # Drones of a group of worlds share blocks
     worlds = blocks.command.shape[0]
-    for first in range(0, drones.alive.shape[0], worlds):
+    for group in range(begin, end):
+        first = group * worlds
         last = min(first + worlds, drones.alive.shape[0])
         start_worlds(decision, blocks, first, last)
         for substep in range(step.substeps):
@@ -214,6 +277,101 @@ def advance_rigid_body(
                 hit = step_contacts(contact, drones, w, substep, step)
                 if hit and cables.num_groups[w] > 0:
                     hold_tied(decision, cables, contact, w)
+
+
+@kernel
+def start_lags(decision: Decision, blocks: Blocks) -> None:
+    """Write the decay factors of the rotor lag of a world, once a decision."""
+    decision, blocks = in_memory(decision), in_memory(blocks)
+    lag_stages(decision.drones.parameters, 0, decision.step.dt, blocks.decay[0])
+
+
+@kernel
+def start_blocks(begin: int, end: int, decision: Decision, blocks: Blocks) -> None:
+    """Pack the blocks from `begin` to before `end` of a world, once a decision."""
+    decision, blocks = in_memory(decision), in_memory(blocks)
+    pack_blocks(blocks, decision.air, 0, begin, end)
+    pack_steering(blocks.steering, decision.setpoints, 0, begin, end)
+
+
+@kernel
+def sum_world_wakes(decision: Decision, blocks: Blocks, substep: int) -> None:
+    """Compute the wakes of a world in a substep."""
+    decision, blocks = in_memory(decision), in_memory(blocks)
+    _sum_wakes(decision, blocks, 0, 1, substep)
+
+
+@kernel
+def fly_blocks(
+    begin: int,
+    end: int,
+    decision: Decision,
+    contact: ContactState,
+    cables: Cables,
+    blocks: Blocks,
+    found: np.ndarray,
+) -> None:
+    """Fly a substep of the drones in some blocks of a world, without contacts.
+
+    Args:
+        begin: Index of the first block.
+        end: Index after the last block.
+        decision: Inputs of the decision.
+        contact: State of the contact solver.
+        cables: Cables between the bodies.
+        blocks: Blocks of the world, with scratch arrays of the thread.
+        found: (1,) set to 1 if a drone's motion budget is used up.
+    """
+    decision, contact, cables = in_memory(decision), in_memory(contact), in_memory(cables)
+    blocks = in_memory(blocks)
+    drones, high = decision.drones, min(end * WIDTH, decision.drones.alive.shape[1])
+    part = Part(0, 1, begin * WIDTH, high, begin, end)
+    _fly_part(decision, contact, blocks, cables, part)
+    # Tied drones move later
+    if cables.num_groups[0] == 0:
+        dt = decision.step.dt
+        if update_budgets(contact, drones.swarm, drones.alive, 0, dt, part.low, part.high):
+            found[0] = 1
+
+
+@kernel
+def finish_substep(
+    decision: Decision,
+    contact: ContactState,
+    cables: Cables,
+    blocks: Blocks,
+    found: np.ndarray,
+    substep: int,
+) -> None:
+    """Fly the drones of a world that sleep or are tied, and resolve the contacts of a substep.
+
+    Args:
+        decision: Inputs of the decision.
+        contact: State of the contact solver.
+        cables: Cables between the bodies.
+        blocks: Blocks of the world.
+        found: (T, 8) what `fly_blocks` found on each thread; cleared.
+        substep: Index of the substep in the decision.
+    """
+    decision, contact, cables = in_memory(decision), in_memory(contact), in_memory(cables)
+    blocks = in_memory(blocks)
+    drones, step = decision.drones, decision.step
+    swarm, alive, asleep = drones.swarm, drones.alive, contact.asleep
+    num_drones, is_found = alive.shape[1], False
+    part = Part(0, 1, 0, num_drones, 0, blocks.packed.shape[0])
+    _fly_rest(decision, contact, blocks, cables, part, True)
+    is_tied = cables.num_groups[0] > 0
+    if is_tied:
+        fly_tied(decision, blocks, cables, contact, 0, 0)
+    for i in range(num_drones):
+        # Drones that have just been woken were skipped as sleeping ones
+        if is_tied or (blocks.sleeping[i] and not asleep[0, i]):
+            is_found |= update_budgets(contact, swarm, alive, 0, step.dt, i, i + 1)
+    for thread in range(found.shape[0]):
+        is_found |= found[thread, 0] > 0
+        found[thread, 0] = 0
+    if is_found and resolve_world(contact, drones, 0, substep, step) and is_tied:
+        hold_tied(decision, cables, contact, 0)
 
 
 @register("dynamics")
@@ -232,12 +390,39 @@ class RigidBody(Dynamics):
     feels_cables = True
     contacts: ClassVar[tuple[str, ...]] = ("impulse", "stop")
     sleeps = True
+    has_threads = True
 
     def restore(self, swarm: Swarm, mask: np.ndarray) -> None:
         """Find the groups of bodies that the restored cables connect; see the base class."""
         group_bodies(self.cables)
 
     def add_flight(self, program: Program, decision: Decision) -> None:
-        """Add all substeps as one compiled call; see the base class."""
-        blocks = Blocks.of(decision.drones, decision.cascade)
-        program.call(advance_rigid_body, decision, self.contact, blocks, self.cables)
+        """Add all substeps as one compiled call; see the base class.
+
+        Several threads fly groups of worlds, or the blocks of a single world substep by substep.
+        """
+        if program.threads > 1 and decision.drones.alive.shape[0] == 1:
+            self._add_blocks(program, decision)
+            return
+        contact, cables = self.contact, self.cables
+        own = []
+        for _ in range(program.threads):
+            own.append((contact, Blocks.of(decision.drones, decision.cascade), cables))
+            contact, cables = contact.for_thread(), cables.for_thread()
+        groups = -(-len(decision.drones.alive) // len(own[0][1].command))
+        program.call(*program.shared(advance_rigid_body, groups, decision, own=own))
+
+    def _add_blocks(self, program: Program, decision: Decision) -> None:
+        """Add the substeps of a single world, whose blocks several threads fly."""
+        blocks = [Blocks.of(decision.drones, decision.cascade)]
+        blocks += [blocks[0].for_thread() for _ in range(1, program.threads)]
+        found = np.zeros((program.threads, CACHE_LINE), dtype=np.int64)
+        world = (decision, self.contact, self.cables)
+        own, count = list(zip(blocks, found, strict=True)), len(blocks[0].packed)
+        flight = program.shared(fly_blocks, count, *world, own=own)
+        program.call(start_lags, decision, blocks[0])
+        program.call(*program.shared(start_blocks, count, decision, blocks[0]))
+        for substep in range(decision.step.substeps):
+            program.call(sum_world_wakes, decision, blocks[0], substep)
+            program.call(*flight)
+            program.call(finish_substep, *world, blocks[0], found, substep)

@@ -93,16 +93,20 @@ def _common_level(steering: Any, levels: np.ndarray, drone: int) -> int:
 
 
 @kernel
-def pack_steering(steering: Any, setpoints: Setpoints, first: int) -> None:
+def pack_steering(
+    steering: Any, setpoints: Setpoints, first: int, begin: int, end: int
+) -> None:
     """Pack the setpoints, gains and nominal parameters of a group into blocks, once a decision.
 
     Args:
         steering: `Steering`.
         setpoints: Setpoints of all drones.
         first: Number of the group's first drone, counted over all worlds.
+        begin: Index of the first block to pack.
+        end: Index after the last block to pack.
     """
     levels = setpoints.level
-    for b in range(steering.level.shape[0]):
+    for b in range(begin, end):
         drone = first + b * WIDTH
         level = ALONE if drone >= levels.size else _common_level(steering, levels, drone)
         steering.level[b] = level

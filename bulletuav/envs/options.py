@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from bulletuav.compiled.threads import MAX_THREADS
 from bulletuav.control.actions import ACTIONS, ActionNames, action_names
 from bulletuav.control.cascade import CONTROLLERS, PID_LEVELS
 from bulletuav.control.setpoint import SetpointLevel
@@ -57,6 +58,7 @@ MAX_COUNTS = {
     "physics_hz": MAX_HZ,
     "num_beams": MAX_BEAMS,
     "frame_stack": MAX_FRAMES,
+    "threads": MAX_THREADS,
 }
 """Maximum of each option that is a whole number above 0"""
 NAME_LISTS = ("observation", "sensors", "effects")
@@ -176,6 +178,9 @@ class EnvOptions:
         communication: Channel for messages that are part of actions and observations, such as
             {"size": 8, "range": 300.0}; a `bulletuav.sensors.messages.Channel`, or a dict of its
             attributes. None for no messages.
+        threads: Number of threads that compute a decision, with the same results. They share the
+            worlds of a batch, or the drones of a single world, which pays from some hundred drones
+            on. It needs dynamics "rigid_body" or a kinematic one.
     """
 
     num_drones: int
@@ -232,6 +237,7 @@ class EnvOptions:
     min_drones: int | None = None
     communication: Channel | None = None
     decision_every: Mapping[str, int] | None = None
+    threads: int = 1
 
     def __post_init__(self) -> None:
         for name, most in MAX_COUNTS.items():
@@ -258,6 +264,7 @@ class EnvOptions:
         if self.contacts is None:
             self._keep("contacts", dynamics.contacts[0])
         find_choice("contacts", self.contacts, dict.fromkeys(dynamics.contacts))
+        self._check_threads(dynamics.has_threads)
         self._keep("action", _as_action(self.action, self.num_drones))
         self._keep("decision_every", _as_decision_every(self.decision_every))
         choices = {"controller": tuple(CONTROLLERS)}
@@ -278,6 +285,15 @@ class EnvOptions:
         self._check_sensors()
         self._check_cameras()
         self._check_flight()
+
+    def _check_threads(self, has_threads: bool) -> None:
+        if self.threads > 1 and not has_threads:
+            raise ValueError(
+                f"threads is {self.threads}: dynamics {self.dynamics_name!r} flies on one thread; "
+                f"use 'rigid_body' or a kinematic one, or a batch with workers"
+            )
+        if self.threads > 1 and self.debug:
+            raise ValueError("debug is True: debuggers see one thread, so it needs threads=1")
 
     def _check_reward(self) -> None:
         if not isinstance(self.reward, Mapping):

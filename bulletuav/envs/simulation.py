@@ -136,7 +136,8 @@ class Simulation:
 
     def make_program(self) -> Program:
         """Make the program of a decision."""
-        worlds, program = self.worlds, Program()
+        worlds = self.worlds
+        program = Program(worlds.options.threads)
         self._derive()
         for stage in self.stages:
             stage.add_to(program, worlds)
