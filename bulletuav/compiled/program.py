@@ -2,8 +2,8 @@
 
 A call of compiled code from Python checks the type of every array, which takes longer than a
 substep of a drone. A program checks types once: it stores the addresses of arrays, and runs its
-calls without Python in between. Python callbacks may be inserted between compiled calls. Calls whose items
-are independent can be computed by several threads; see `bulletuav.compiled.threads`.
+calls without Python in between. Python callbacks may be inserted between compiled calls. Calls
+whose items are independent can be computed by several threads; see `bulletuav.compiled.threads`.
 """
 
 import ctypes
@@ -22,7 +22,7 @@ from bulletuav.compiled.dispatcher import Dispatcher
 from bulletuav.compiled.kernel import InMemory, kernel
 from bulletuav.compiled.plain import SWITCH
 from bulletuav.compiled.specialisation import TupleKey, specialisation_key, type_from_key
-from bulletuav.compiled.threads import CHUNKS, TEAM, run_shared
+from bulletuav.compiled.threads import CHUNKS, MAX_CHUNKS, TEAM, run_shared
 
 Callback = Callable[[], None]
 """A Python callback, a step of a program that needs Python"""
@@ -88,7 +88,7 @@ class Program:
             own: Arguments of each thread, a tuple for each; the kernel may write scratch arrays in
                 them. Can be left out if there are none.
         """
-        chunks = min(size, CHUNKS * self.threads)
+        chunks = min(size, CHUNKS * self.threads, MAX_CHUNKS)
         if self.threads == 1 or chunks < 2:
             return (kernel, 0, size, *arguments, *(own[0] if own else ()))
         every = [(0, 0, *arguments, *one) for one in own or [()] * self.threads]

@@ -7,9 +7,10 @@ T - 1 helpers compute parts of those of its calls that are made by `Program.shar
   to before `last`, independently of all other items. The items are cut into chunks, and every
   thread takes the next chunk until none is left. Each thread has arguments of its own, as kernels
   work in scratch arrays. The results do not depend on which thread computes a chunk.
-- Chunks are handed out by one word, the ticket: number of the call, number of threads, next chunk
-  and number of chunks. Compare-and-swap of the ticket takes a chunk. A helper that is late finds a
-  new ticket, and no thread waits for it: the calling thread takes all chunks that are left.
+- Chunks are handed out by one word, the ticket: the number of the call, and a bit for each chunk
+  that is left. Compare-and-swap of the ticket takes a chunk. Threads start at different chunks, the
+  same ones in every call, whose data are in the caches of their cores. A helper that is late finds
+  a new ticket, and no thread waits for it: the calling thread takes all chunks that are left.
 - The calling thread then waits for the chunks that helpers have taken. Threads that wait poll for
   some 50 us, and then sleep on a lock of Python's C API, which the other side releases. With fewer
   cores than threads they sleep immediately.
@@ -38,20 +39,24 @@ from bulletuav.compiled.dispatcher import Dispatcher
 from bulletuav.compiled.kernel import kernel
 from bulletuav.cores import count_cores
 
-MAX_THREADS = 64
+MAX_THREADS = 32
 CHUNKS = 8
 """Number of chunks of a call for each of its threads: a thread that loses its core leaves few"""
-MAX_CHUNKS = CHUNKS * MAX_THREADS
-POLLS = 1000
+MAX_CHUNKS = 32
+POLLS = 2000
 """Number of times that a thread polls before it sleeps, some 50 us"""
+_CHUNKS_LEFT = 0xFFFF_FFFF
+"""Bits of a ticket for the chunks"""
 
 _WORD = types.int64
 _KIND = types.TypeRef(_WORD)
 CACHE_LINE = 8
 """Words of a cache line: words that different threads write are in lines of their own"""
-_TICKET, _DONE, _WAITS, _BUSY, _ENDS, _JOB, _SIZE, _FAILED = range(0, 64 * 8, 64)
-_POLLS, _LOCK, _ACQUIRE, _RELEASE, _LEAVE_GIL, _TAKE_GIL, _HELPERS = range(512, 512 + 64 * 7, 64)
-"""Bytes from the address of the team's words to each word, each in a line of its own; helpers follow"""
+_TICKET, _DONE, _WAITS, _BUSY, _ENDS, _FAILED = range(0, 64 * 6, 64)
+_JOB, _SIZE, _CHUNKS, _THREADS, _POLLS, _LOCK = range(384, 384 + 64 * 6, 64)
+_ACQUIRE, _RELEASE, _LEAVE_GIL, _TAKE_GIL, _HELPERS = range(768, 768 + 64 * 5, 64)
+"""Bytes from the address of the team's words to each word, in cache lines of their own; helpers
+follow"""
 _OWN_LOCK = 8
 """Bytes from a helper's word, which is 1 while it sleeps, to its lock"""
 
@@ -151,17 +156,24 @@ def _place(context: Any, builder: Any, address: Any) -> Any:
 
 
 @kernel
-def _is_left(ticket: int, thread: int) -> bool:
-    """Check whether a ticket has a chunk for a thread."""
-    return ((ticket >> 12) & 0xFFF) < (ticket & 0xFFF) and thread < ((ticket >> 24) & 0xFF)
+def _find_chunk(team: int, thread: int, ticket: int) -> int:
+    """Return a chunk that a ticket has left for a thread; -1 if there is none."""
+    chunks, threads = _load(team + _CHUNKS), _load(team + _THREADS)
+    if (ticket & _CHUNKS_LEFT) == 0 or thread >= threads:
+        return -1
+    first = chunks * thread // threads
+    for k in range(chunks):
+        chunk = first + k if first + k < chunks else first + k - chunks
+        if ticket & (1 << chunk):
+            return chunk
+    return -1
 
 
 @kernel
-def _compute_chunk(team: int, thread: int, ticket: int) -> None:
-    """Compute the next chunk of a ticket, which the thread has taken."""
+def _compute_chunk(team: int, thread: int, chunk: int) -> None:
+    """Compute a chunk, which the thread has taken from the ticket."""
     job, size = _load(team + _JOB) + 16 * thread, _load(team + _SIZE)
-    chunk, count = (ticket >> 12) & 0xFFF, ticket & 0xFFF
-    words = _load(job + 8)
+    words, count = _load(job + 8), _load(team + _CHUNKS)
     # The arguments (first, last) follow the function's address
     _store(words + 8, size * chunk // count)
     _store(words + 16, size * (chunk + 1) // count)
@@ -176,10 +188,14 @@ def _help(team: int, thread: int) -> int:
     polls = 0
     while _load(team + _ENDS) == 0:
         ticket = _load(team + _TICKET)
-        if _is_left(ticket, thread):
-            if _swap(team + _TICKET, ticket, ticket + (1 << 12)):
-                _compute_chunk(team, thread, ticket)
-                is_last = _add(team + _DONE, 1) + 1 == ticket & 0xFFF
+        chunk = _find_chunk(team, thread, ticket)
+        if chunk >= 0:
+            # If the call has ended meanwhile, there is another ticket
+            if _swap(team + _TICKET, ticket, ticket - (1 << chunk)):
+                # Read before the call can end, and another start
+                chunks = _load(team + _CHUNKS)
+                _compute_chunk(team, thread, chunk)
+                is_last = _add(team + _DONE, 1) + 1 == chunks
                 if is_last and _swap(team + _WAITS, 1, 0):
                     _call_c(_load(team + _RELEASE), _load(team + _LOCK), 0)
             polls = 0
@@ -191,7 +207,8 @@ def _help(team: int, thread: int) -> int:
         polls = 0
         _store(own, 1)
         # Work that came before the calling thread could see the word is not missed
-        is_needed = _is_left(_load(team + _TICKET), thread) or _load(team + _ENDS) != 0
+        is_needed = _find_chunk(team, thread, _load(team + _TICKET)) >= 0
+        is_needed = is_needed or _load(team + _ENDS) != 0
         if not (is_needed and _swap(own, 1, 0)):
             _call_c(_load(team + _ACQUIRE), _load(own + _OWN_LOCK), 1)
     return 0
@@ -221,20 +238,23 @@ def run_shared(team: int, job: int, size: int, chunks: int, threads: int) -> Non
         return
     _store(team + _JOB, job)
     _store(team + _SIZE, size)
+    _store(team + _CHUNKS, chunks)
+    _store(team + _THREADS, threads)
     _store(team + _DONE, 0)
     _store(team + _FAILED, 0)
     number = (_load(team + _TICKET) >> 32) + 1
-    _store(team + _TICKET, ((number & 0x7FFFFFFF) << 32) | (threads << 24) | chunks)
+    _store(team + _TICKET, ((number & 0x7FFF_FFFF) << 32) | ((1 << chunks) - 1))
     for thread in range(1, threads):
         helper = team + _HELPERS + 8 * CACHE_LINE * thread
         if _load(helper) != 0 and _swap(helper, 1, 0):
             _call_c(_load(team + _RELEASE), _load(helper + _OWN_LOCK), 0)
     while True:
         ticket = _load(team + _TICKET)
-        if not _is_left(ticket, 0):
+        chunk = _find_chunk(team, 0, ticket)
+        if chunk < 0:
             break
-        if _swap(team + _TICKET, ticket, ticket + (1 << 12)):
-            _compute_chunk(team, 0, ticket)
+        if _swap(team + _TICKET, ticket, ticket - (1 << chunk)):
+            _compute_chunk(team, 0, chunk)
             _add(team + _DONE, 1)
     polls = 0
     while _load(team + _DONE) < chunks:

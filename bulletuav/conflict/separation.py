@@ -13,6 +13,7 @@ from bulletuav.compiled.deferred import deferred
 from bulletuav.compiled.gather import gathered, lane_numbers, scatter, three
 from bulletuav.compiled.kernel import allocating, func, kernel
 from bulletuav.compiled.lanes import WIDTH, is_any, where
+from bulletuav.compiled.program import Program
 from bulletuav.geometry.closest_approach import closest_squared_distances
 from bulletuav.geometry.grid import (
     MIN_POINTS,
@@ -21,9 +22,12 @@ from bulletuav.geometry.grid import (
     WIDENING,
     Grid,
     cells_around,
+    clear_grid,
     fill_path_grid,
+    is_grid_filled,
     is_whole,
     make_point_grid,
+    new_point_grid,
     num_rows,
     row_items,
     sort_ascending,
@@ -80,13 +84,31 @@ def _fill_by_grid(
     near = np.empty(num_drones, dtype=np.int64)
     finite = fill_path_grid(grid, before, after, PATHS, alive, w)
     if finite:
-        paths = (before, after)
-        for i in range(num_drones):
-            separation[w, i], onsets[w, i], nearness[w, i] = np.inf, 0, 0.0
-            if alive[w, i]:
-                measured = _measure_near(grid, near, paths, w, i, d_safe, zone)
-                separation[w, i], onsets[w, i], nearness[w, i] = measured
+        paths, results = (before, after), (separation, onsets, nearness)
+        _fill_from_grid(grid, near, paths, alive, w, d_safe, zone, results, 0, num_drones)
     return finite
+
+
+@func
+def _fill_from_grid(
+    grid: Grid,
+    near: np.ndarray,
+    paths: tuple[np.ndarray, np.ndarray],
+    alive: np.ndarray,
+    w: int,
+    d_safe: float,
+    zone: float,
+    results: tuple[np.ndarray, np.ndarray, np.ndarray],
+    low: int,
+    high: int,
+) -> None:
+    """Write the results of the drones from `low` to before `high` of world w, with its grid."""
+    separation, onsets, nearness = results
+    for i in range(low, high):
+        separation[w, i], onsets[w, i], nearness[w, i] = np.inf, 0, 0.0
+        if alive[w, i]:
+            measured = _measure_near(grid, near, paths, w, i, d_safe, zone)
+            separation[w, i], onsets[w, i], nearness[w, i] = measured
 
 
 @kernel
@@ -155,8 +177,52 @@ def _measure_near(
     return math.sqrt(closest), begun, depths
 
 
+@func
+def _fill_lanes(
+    paths: tuple[np.ndarray, np.ndarray],
+    alive: np.ndarray,
+    w: int,
+    lowest: int,
+    d_safe: float,
+    zone: float,
+    results: tuple[np.ndarray, np.ndarray, np.ndarray],
+) -> None:
+    """Write the results of `WIDTH` drones from `lowest` on, each against all drones of world w."""
+    before, after = paths
+    separation, onsets, nearness = results
+    num_drones, far = alive.shape[1], _zone_squared(zone)
+    first = w * num_drones + lowest
+    here = three(before, first)
+    there = three(after, first)
+    # Comparisons with NaN are false: a drone that does not fly has no near drone
+    x = where(gathered(alive, first, 0), here[0], math.nan)
+    itself = lane_numbers() + lowest
+    closest, begun, depths = np.inf, 0.0, 0.0
+    for j in range(num_drones):
+        if not alive[w, j]:
+            continue
+        # Minimum separation during the motion, and separation at its start
+        others = (where(itself != j, x, math.nan), here[1], here[2])
+        at_start = minus(vec3(before, w, j), others)
+        at_end = minus(vec3(after, w, j), there)
+        start_squared, least_squared = closest_squared_distances(at_start, at_end)
+        closest = min(closest, least_squared)
+        if is_any(least_squared < far):
+            start = math.sqrt(start_squared)
+            minimum = math.sqrt(least_squared)
+            # An ongoing conflict started in an earlier decision
+            begun += where(minimum < d_safe, where(d_safe <= start, 1.0, 0.0), 0.0)
+            depths += min(1.0, max(0.0, (zone - minimum) / (zone - d_safe)))
+    count = min(num_drones - lowest, WIDTH)
+    scatter(separation, first, count, math.sqrt(closest))
+    scatter(onsets, first, count, begun)
+    scatter(nearness, first, count, depths)
+
+
 @kernel
 def fill_conflict(
+    first: int,
+    last: int,
     before: np.ndarray,
     after: np.ndarray,
     alive: np.ndarray,
@@ -166,42 +232,88 @@ def fill_conflict(
     onsets: np.ndarray,
     nearness: np.ndarray,
 ) -> None:
-    """Write the result of `measure_conflict` to arrays; it has the same arguments."""
+    """Write the results of `measure_conflict`, which has the same arguments, for some worlds.
+
+    These are the worlds from `first` to before `last`.
+    """
     num_drones = alive.shape[1]
-    far = _zone_squared(zone)
-    for w in range(alive.shape[0]):
+    paths, results = (before, after), (separation, onsets, nearness)
+    for w in range(first, last):
         if num_drones >= MIN_POINTS and _fill_by_grid(
             before, after, alive, w, d_safe, zone, separation, onsets, nearness
         ):
             continue
-        # Several drones in lanes, each against all other drones of its world
         for lowest in range(0, num_drones, WIDTH):
-            first = w * num_drones + lowest
-            here = three(before, first)
-            there = three(after, first)
-            # Comparisons with NaN are false: a drone that does not fly has no near drone
-            x = where(gathered(alive, first, 0), here[0], math.nan)
-            itself = lane_numbers() + lowest
-            closest, begun, depths = np.inf, 0.0, 0.0
-            for j in range(num_drones):
-                if not alive[w, j]:
-                    continue
-                # Minimum separation during the motion, and separation at its start
-                others = (where(itself != j, x, math.nan), here[1], here[2])
-                at_start = minus(vec3(before, w, j), others)
-                at_end = minus(vec3(after, w, j), there)
-                start_squared, least_squared = closest_squared_distances(at_start, at_end)
-                closest = min(closest, least_squared)
-                if is_any(least_squared < far):
-                    start = math.sqrt(start_squared)
-                    minimum = math.sqrt(least_squared)
-                    # An ongoing conflict started in an earlier decision
-                    begun += where(minimum < d_safe, where(d_safe <= start, 1.0, 0.0), 0.0)
-                    depths += min(1.0, max(0.0, (zone - minimum) / (zone - d_safe)))
-            count = min(num_drones - lowest, WIDTH)
-            scatter(separation, first, count, math.sqrt(closest))
-            scatter(onsets, first, count, begun)
-            scatter(nearness, first, count, depths)
+            _fill_lanes(paths, alive, w, lowest, d_safe, zone, results)
+
+
+@kernel
+def start_conflict(before: np.ndarray, after: np.ndarray, alive: np.ndarray, grid: Grid) -> None:
+    """Fill the grid of a single world for `fill_conflict_of_blocks`."""
+    if not fill_path_grid(grid, before, after, PATHS, alive, 0):
+        clear_grid(grid)
+
+
+@kernel
+def fill_conflict_of_blocks(
+    begin: int,
+    end: int,
+    before: np.ndarray,
+    after: np.ndarray,
+    alive: np.ndarray,
+    d_safe: float,
+    zone: float,
+    separation: np.ndarray,
+    onsets: np.ndarray,
+    nearness: np.ndarray,
+    grid: Grid,
+    near: np.ndarray,
+) -> None:
+    """Write the results of `measure_conflict` for some drones of a single world.
+
+    Args:
+        begin: Index of the first block of `WIDTH` drones.
+        end: Index after the last block.
+        before: As in `measure_conflict`, like the following arguments.
+        after: Positions at the end of the decision.
+        alive: Drones to measure.
+        d_safe: Separation below which two drones are in conflict, m.
+        zone: Separation at which the warning zone starts, m.
+        separation: As in `Conflict`, written, like the following two.
+        onsets: Number of conflicts that started.
+        nearness: Depths in the warning zone.
+        grid: Grid of `start_conflict`.
+        near: (N,) work array.
+    """
+    paths, results = (before, after), (separation, onsets, nearness)
+    if is_grid_filled(grid):
+        low, high = begin * WIDTH, min(end * WIDTH, alive.shape[1])
+        _fill_from_grid(grid, near, paths, alive, 0, d_safe, zone, results, low, high)
+        return
+    for block in range(begin, end):
+        _fill_lanes(paths, alive, 0, block * WIDTH, d_safe, zone, results)
+
+
+def add_conflict(
+    program: Program,
+    before: np.ndarray,
+    after: np.ndarray,
+    alive: np.ndarray,
+    d_safe: float,
+    zone: float,
+    conflict: Conflict,
+) -> None:
+    """Add calls to a program that write the result of `measure_conflict` to `conflict`."""
+    num_worlds, num_drones = alive.shape
+    given = (before, after, alive, d_safe, zone, *conflict)
+    if program.threads == 1 or num_worlds > 1 or num_drones < MIN_POINTS:
+        program.call(*program.shared(fill_conflict, num_worlds, *given))
+        return
+    grid = new_point_grid(num_drones)
+    own = [(np.zeros(num_drones, dtype=np.int64),) for _ in range(program.threads)]
+    program.call(start_conflict, before, after, alive, grid)
+    blocks = -(-num_drones // WIDTH)
+    program.call(*program.shared(fill_conflict_of_blocks, blocks, *given, grid, own=own))
 
 
 def measure_conflict(
@@ -224,5 +336,5 @@ def measure_conflict(
     """
     result = no_conflict(alive.shape)
     places = (np.ascontiguousarray(before), np.ascontiguousarray(after))
-    fill_conflict(*places, np.ascontiguousarray(alive), d_safe, zone, *result)
+    fill_conflict(0, len(alive), *places, np.ascontiguousarray(alive), d_safe, zone, *result)
     return result

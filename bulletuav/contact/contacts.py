@@ -88,7 +88,9 @@ def step_contacts(
     Returns:
         True if there was any impact.
     """
-    if not update_budgets(contact, drones.swarm, drones.alive, w, step.dt, 0, drones.alive.shape[1]):
+    if not update_budgets(
+        contact, drones.swarm, drones.alive, w, step.dt, 0, drones.alive.shape[1]
+    ):
         return False
     return resolve_world(contact, drones, w, substep, step)
 

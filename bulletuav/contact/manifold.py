@@ -1,7 +1,6 @@
 """Contact manifold: the contact points of a pair, with their normal and surface properties."""
 
 import math
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -30,7 +29,7 @@ from bulletuav.contact.warm_start import ContactCache
 from bulletuav.geometry.contact_points import MAX_POINTS, contact_points
 from bulletuav.geometry.gjk import make_scratch
 from bulletuav.geometry.grid import MIN_POINTS as GRID_DRONES
-from bulletuav.geometry.grid import Grid, make_point_grid
+from bulletuav.geometry.grid import Grid, new_point_grid
 from bulletuav.geometry.normal_refinement import refine_normal
 from bulletuav.geometry.rotation import Vec3, axes, cross, dot, minus, plus
 from bulletuav.geometry.scenery import Scenery
@@ -90,10 +89,6 @@ class ContactWorkspace(NamedTuple):
     near: np.ndarray
 
 
-_make_point_grid: Callable[[int], Grid] = make_point_grid.py_func  # type: ignore[attr-defined]
-"""`make_point_grid` without compilation"""
-
-
 def make_contact_workspace(num_drones: int) -> ContactWorkspace:
     """Allocate the arrays for a substep of a world of N drones."""
     return ContactWorkspace(
@@ -103,7 +98,7 @@ def make_contact_workspace(num_drones: int) -> ContactWorkspace:
         pairs=np.zeros(INITIAL_PAIR_CAPACITY, dtype=PAIR),
         scratch=make_scratch(),
         found=np.zeros((MAX_POINTS, 4)),
-        grid=_make_point_grid(num_drones if num_drones >= GRID_DRONES else 0),
+        grid=new_point_grid(num_drones if num_drones >= GRID_DRONES else 0),
         rank=np.zeros(num_drones, dtype=np.int64),
         near=np.zeros(num_drones, dtype=np.int64),
     )

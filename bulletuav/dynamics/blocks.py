@@ -119,10 +119,14 @@ class Blocks(NamedTuple):
 
     def for_thread(self) -> "Blocks":
         """Return the same blocks for another thread, with its own scratch arrays."""
-        own = {name: getattr(self, name).copy() for name in ("rotors", "alone", "state")}
-        steering = self.steering
-        steering = steering._replace(remembered=steering.remembered.copy())
-        return self._replace(steering=steering, **own)
+        num_rotors = self.rotors.shape[1]
+        remembered = lane_zeros(len(self.steering.remembered))
+        return self._replace(
+            rotors=lane_zeros(5, num_rotors),
+            alone=np.zeros((3, num_rotors)),
+            state=lane_zeros(13),
+            steering=self.steering._replace(remembered=remembered),
+        )
 
 
 @kernel

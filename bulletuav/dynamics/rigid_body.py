@@ -35,11 +35,19 @@ from bulletuav.dynamics.cables import Cables, group_bodies
 from bulletuav.dynamics.integration import lag_stages, rk4, slope_of, turn_rotors
 from bulletuav.dynamics.steering import ALONE, pack_steering
 from bulletuav.dynamics.tied import fly_tied, hold_tied
+from bulletuav.geometry.grid import MIN_POINTS
 from bulletuav.geometry.rotation import dot, vec3
 from bulletuav.registry import register
 from bulletuav.vehicle.aerodynamics import num_lifted_rotors
 from bulletuav.vehicle.swarm import DroneArrays, Swarm, get_state, set_state
-from bulletuav.vehicle.wakes import LIST_SKIN, sum_wakes
+from bulletuav.vehicle.wakes import (
+    LIST_SKIN,
+    WakeSearch,
+    list_pairs_of_drones,
+    start_pairs,
+    sum_listed_wakes,
+    sum_wakes,
+)
 from bulletuav.vehicle.wrench import MAX_PART_ROTATION, num_spin_steps
 
 
@@ -295,6 +303,14 @@ def start_blocks(begin: int, end: int, decision: Decision, blocks: Blocks) -> No
 
 
 @kernel
+def sum_first_wakes(decision: Decision, blocks: Blocks, skin: float, search: WakeSearch) -> None:
+    """Compute the wakes of a world in the first substep, from the lists of all threads."""
+    decision, blocks = in_memory(decision), in_memory(blocks)
+    drones, wakes = decision.drones, blocks.wakes
+    sum_listed_wakes(drones.swarm, drones.alive, drones.parameters, skin, wakes, search)
+
+
+@kernel
 def sum_world_wakes(decision: Decision, blocks: Blocks, substep: int) -> None:
     """Compute the wakes of a world in a substep."""
     decision, blocks = in_memory(decision), in_memory(blocks)
@@ -423,6 +439,21 @@ class RigidBody(Dynamics):
         program.call(start_lags, decision, blocks[0])
         program.call(*program.shared(start_blocks, count, decision, blocks[0]))
         for substep in range(decision.step.substeps):
-            program.call(sum_world_wakes, decision, blocks[0], substep)
+            if substep == 0 and decision.drones.alive.shape[1] >= MIN_POINTS:
+                self._add_first_wakes(program, decision, blocks[0])
+            else:
+                program.call(sum_world_wakes, decision, blocks[0], substep)
             program.call(*flight)
             program.call(finish_substep, *world, blocks[0], found, substep)
+
+    @staticmethod
+    def _add_first_wakes(program: Program, decision: Decision, blocks: Blocks) -> None:
+        """Add the wakes of the first substep of a single world; several threads list the pairs."""
+        drones, num_drones = decision.drones, decision.drones.alive.shape[1]
+        leeway = LIST_SKIN if decision.step.substeps > 1 else 0.0
+        search = WakeSearch.of(num_drones)
+        listed = (drones.swarm.position, *drones[1:], leeway, blocks.wakes, search)
+        near = [(np.zeros(num_drones, dtype=np.int64),) for _ in range(program.threads)]
+        program.call(start_pairs, *listed)
+        program.call(*program.shared(list_pairs_of_drones, num_drones, *listed, own=near))
+        program.call(sum_first_wakes, decision, blocks, leeway, search)

@@ -93,9 +93,7 @@ def _common_level(steering: Any, levels: np.ndarray, drone: int) -> int:
 
 
 @kernel
-def pack_steering(
-    steering: Any, setpoints: Setpoints, first: int, begin: int, end: int
-) -> None:
+def pack_steering(steering: Any, setpoints: Setpoints, first: int, begin: int, end: int) -> None:
     """Pack the setpoints, gains and nominal parameters of a group into blocks, once a decision.
 
     Args:

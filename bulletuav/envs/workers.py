@@ -105,6 +105,11 @@ class WorkerAviary(LabelledEnvironment):
             )
         if (mode := self._spec.options.render_mode) not in (None, "rgb_array"):
             raise ValueError(f"render_mode is {mode!r}: a live view needs workers=1")
+        if (threads := self._spec.options.threads) > 1:
+            raise ValueError(
+                f"threads is {threads}, and workers is {workers}: worker processes have one thread "
+                f"each; give one of the two"
+            )
         if self._spec.options.debug:
             raise ValueError("debug is True: debuggers see one process, so it needs workers=1")
         self._timeout = float(timeout)

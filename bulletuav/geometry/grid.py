@@ -7,6 +7,7 @@ search is exact whatever the size of the cells.
 """
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -83,6 +84,10 @@ def make_point_grid(num_points: int) -> Grid:
         item=np.empty(num_points, dtype=np.int64),
         reach=np.zeros(num_points),
     )
+
+
+new_point_grid: Callable[[int], Grid] = make_point_grid.py_func  # type: ignore[attr-defined]
+"""`make_point_grid` without compilation"""
 
 
 @kernel

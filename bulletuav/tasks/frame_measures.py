@@ -7,7 +7,7 @@ import numpy as np
 
 from bulletuav.compiled.kernel import kernel
 from bulletuav.compiled.program import Program
-from bulletuav.conflict.separation import Conflict, fill_conflict, no_conflict
+from bulletuav.conflict.separation import Conflict, add_conflict, no_conflict
 from bulletuav.contact.contact_state import ContactState
 from bulletuav.contact.contacts import summarize_contacts
 from bulletuav.geometry.closest_approach import fill_paired_distances
@@ -79,7 +79,7 @@ def add_frame_measures(
     """
     before, after, goal = frame.before.position, frame.after.position, frame.scene.goal
     limits = (frame.d_safe, frame.zone)
-    program.call(fill_conflict, before, after, frame.alive, *limits, *measures.conflict)
+    add_conflict(program, before, after, frame.alive, *limits, measures.conflict)
     places = (before, after, frame.known_position)
     distances = (measures.distance_before, measures.distance, measures.known_distance)
     program.call(_fill_all, goal, places, distances)

@@ -18,8 +18,11 @@ from bulletuav.geometry.grid import (
     MIN_POINTS,
     Grid,
     cells_around,
+    clear_grid,
     fill_grid,
+    is_grid_filled,
     make_point_grid,
+    new_point_grid,
     num_rows,
     row_items,
     sort_ascending,
@@ -135,23 +138,8 @@ def _list_pairs(
         skin: Skin: distance that drones may move along each axis, m.
         wakes: Arrays of the group; the list is extended.
     """
-    num_drones = position.shape[1]
-    place, pairs = wakes.place, wakes.pairs
-    lowest = np.inf
-    highest = -np.inf
-    for i in range(num_drones):
-        for k in range(3):
-            place[world, i, k] = position[w, i, k]
-        if alive[w, i]:
-            lowest = min(lowest, position[w, i, 2])
-            highest = max(highest, position[w, i, 2])
-    # Range of the widest wake of this world: drones without neighbours in it are skipped
-    widest = 0.0
-    for i in range(num_drones):
-        if alive[w, i]:
-            drop = highest - lowest + 3.0 * skin
-            widest = max(widest, _max_width_squared(drop, parameters[w, i]))
-    edge = _list_range_squared(widest, skin)
+    num_drones, pairs = position.shape[1], wakes.pairs
+    edge = _start_list(position, alive, parameters, w, world, skin, wakes.place)
     if num_drones >= MIN_POINTS and _list_pairs_in_grid(
         position, alive, parameters, w, world, skin, edge, wakes.pairs, wakes.listed
     ):
@@ -167,6 +155,37 @@ def _list_pairs(
                 pairs[count, 2] = j
                 count += 1
     wakes.listed[0] = count
+
+
+@func
+def _start_list(
+    position: np.ndarray,
+    alive: np.ndarray,
+    parameters: np.ndarray,
+    w: int,
+    world: int,
+    skin: float,
+    place: np.ndarray,
+) -> float:
+    """Write the positions at which the list of world w is built.
+
+    Returns:
+        Square of the range of the widest wake of this world, m^2.
+    """
+    lowest = np.inf
+    highest = -np.inf
+    for i in range(position.shape[1]):
+        for k in range(3):
+            place[world, i, k] = position[w, i, k]
+        if alive[w, i]:
+            lowest = min(lowest, position[w, i, 2])
+            highest = max(highest, position[w, i, 2])
+    widest = 0.0
+    for i in range(position.shape[1]):
+        if alive[w, i]:
+            drop = highest - lowest + 3.0 * skin
+            widest = max(widest, _max_width_squared(drop, parameters[w, i]))
+    return _list_range_squared(widest, skin)
 
 
 @func
@@ -226,15 +245,24 @@ def _list_pairs_in_grid(
     """
     grid = make_point_grid(position.shape[1])
     near = np.empty(position.shape[1], dtype=np.int64)
+    if not _fill_flat_grid(position, alive, w, grid):
+        return False
+    given, low, high = (position, alive, parameters), 0, position.shape[1]
+    listed[0] = _list_near_pairs(
+        *given, w, world, skin, edge, grid, near, pairs, listed[0], low, high
+    )
+    return True
+
+
+@func
+def _fill_flat_grid(position: np.ndarray, alive: np.ndarray, w: int, grid: Grid) -> bool:
+    """Fill a horizontal grid of the drones of world w; return False if a position is invalid."""
     for i in range(position.shape[1]):
         # A drone with an invalid height has no grid either
         grid.place[i, 0] = position[w, i, 0]
         grid.place[i, 1] = position[w, i, 1]
         grid.place[i, 2] = 0.0 * position[w, i, 2]
-    if not fill_grid(grid, alive, w):
-        return False
-    _list_near_pairs(position, alive, parameters, w, world, skin, edge, grid, near, pairs, listed)
-    return True
+    return bool(fill_grid(grid, alive, w))
 
 
 @kernel
@@ -249,12 +277,16 @@ def _list_near_pairs(
     grid: Grid,
     near: np.ndarray,
     pairs: np.ndarray,
-    listed: np.ndarray,
-) -> None:
-    """List the pairs of a filled grid; see `_list_pairs_in_grid`."""
+    total: int,
+    low: int,
+    high: int,
+) -> int:
+    """List the pairs of a filled grid whose lower index is from `low` to before `high`.
+
+    See `_list_pairs_in_grid`; the pairs are written from index `total` on, whose end is returned.
+    """
     radius = min(math.sqrt(edge), FAR)
-    total = listed[0]
-    for i in range(position.shape[1]):
+    for i in range(low, high):
         if not alive[w, i]:
             continue
         box = cells_around(grid, point(grid.place, i), radius)
@@ -273,7 +305,7 @@ def _list_near_pairs(
             pairs[total, 1] = i
             pairs[total, 2] = near[k]
             total += 1
-    listed[0] = total
+    return total
 
 
 @func
@@ -376,6 +408,13 @@ def sum_wakes(
         wakes.listed[0] = 0
         for w in range(first, last):
             _list_pairs(position, alive, parameters, w, w - first, skin, wakes)
+    _sum_listed(swarm, parameters, first, last, wakes)
+
+
+@func
+def _sum_listed(swarm: Any, parameters: np.ndarray, first: int, last: int, wakes: Any) -> None:
+    """Sum the wakes of the listed pairs; see `sum_wakes`."""
+    position = swarm.position
     # Read array pointers once: the compiler must assume that writes may alias them
     rotor_speed, quaternion = swarm.rotor_speed, swarm.quaternion
     felt, pairs, numbers, lower = wakes.felt, wakes.pairs, wakes.numbers, wakes.below
@@ -399,3 +438,95 @@ def sum_wakes(
                 lane = 0
     if lane > 0:
         _apply_lanes(quaternion, first, lane, numbers, lower, felt)
+
+
+class WakeSearch(NamedTuple):
+    """Work arrays with which several threads list the pairs of a single world.
+
+    Each range of drones has its own range of `Wakes.pairs` at first: that of all its pairs.
+
+    Attributes:
+        grid: Horizontal grid of the drones.
+        edge: (1,) square of the range of the widest wake, m^2.
+        end: (N,) index after the last drone of the range that starts with this drone.
+        count: (N,) number of pairs of that range.
+    """
+
+    grid: Grid
+    edge: np.ndarray
+    end: np.ndarray
+    count: np.ndarray
+
+    @classmethod
+    def of(cls, num_drones: int) -> "WakeSearch":
+        """Allocate arrays for a number of drones."""
+        each = np.zeros((2, num_drones), dtype=np.int64)
+        return cls(new_point_grid(num_drones), np.zeros(1), *each)
+
+
+@func
+def _first_pair(num_drones: int, i: int) -> int:
+    """Return the number of pairs whose lower index is below i."""
+    return i * (2 * num_drones - i - 1) // 2
+
+
+@kernel
+def start_pairs(
+    position: np.ndarray,
+    alive: np.ndarray,
+    parameters: np.ndarray,
+    skin: float,
+    wakes: Wakes,
+    search: WakeSearch,
+) -> None:
+    """Start a list of the pairs of a single world; see `sum_wakes` for the arguments."""
+    search.edge[0] = _start_list(position, alive, parameters, 0, 0, skin, wakes.place)
+    if not _fill_flat_grid(position, alive, 0, search.grid):
+        clear_grid(search.grid)
+
+
+@kernel
+def list_pairs_of_drones(
+    low: int,
+    high: int,
+    position: np.ndarray,
+    alive: np.ndarray,
+    parameters: np.ndarray,
+    skin: float,
+    wakes: Wakes,
+    search: WakeSearch,
+    near: np.ndarray,
+) -> None:
+    """List the pairs whose lower index is from `low` to before `high`; `near` (N,) is scratch."""
+    if is_grid_filled(search.grid):
+        first = _first_pair(alive.shape[1], low)
+        given, edge = (position, alive, parameters), search.edge[0]
+        end = _list_near_pairs(
+            *given, 0, 0, skin, edge, search.grid, near, wakes.pairs, first, low, high
+        )
+        search.end[low], search.count[low] = high, end - first
+
+
+@kernel
+def sum_listed_wakes(
+    swarm: Any,
+    alive: np.ndarray,
+    parameters: np.ndarray,
+    skin: float,
+    wakes: Any,
+    search: WakeSearch,
+) -> None:
+    """Join the lists of `list_pairs_of_drones` in their order, and do the same as `sum_wakes`."""
+    if not is_grid_filled(search.grid):
+        sum_wakes(swarm, alive, parameters, 0, 1, False, skin, wakes)
+        return
+    pairs, low, total, num_drones = wakes.pairs, 0, 0, alive.shape[1]
+    while low < num_drones:
+        first = _first_pair(num_drones, low)
+        for p in range(first, first + search.count[low]):
+            for k in range(3):
+                pairs[total, k] = pairs[p, k]
+            total += 1
+        low = search.end[low]
+    wakes.listed[0] = total
+    _sum_listed(swarm, parameters, 0, 1, wakes)

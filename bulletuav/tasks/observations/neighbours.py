@@ -18,9 +18,12 @@ from bulletuav.geometry.grid import (
     WIDENING,
     Grid,
     cells_around,
+    clear_grid,
     fill_path_grid,
+    is_grid_filled,
     is_whole,
     make_point_grid,
+    new_point_grid,
     num_rows,
     row_items,
 )
@@ -94,7 +97,7 @@ def _others(task: Any, name: str, horizon: float) -> Block:
         if HEARD in frame.readings:
             return False
         own = (frame.known_position, frame.known_velocity)
-        program.call(write_nearest_present, *own, frame.derived[PRESENT], horizon, count, out)
+        _add_nearest_present(program, *own, frame.derived[PRESENT], horizon, count, out)
         return True
 
     return Block(tuple(labels), compute, add)
@@ -270,19 +273,36 @@ def write_nearest_present(
             position, velocity, present, w, horizon, count, out
         ):
             continue
-        for i in range(present.shape[1]):
-            own = (vec3(position, w, i), vec3(velocity, w, i))
-            found = 0
-            for j in range(present.shape[1]):
-                if present[w, j] and j != i:
-                    theirs = (vec3(position, w, j), vec3(velocity, w, j))
-                    found = insert_nearest(
-                        near, least, found, j, _min_distance_within(theirs, own, horizon)
-                    )
-            for slot in range(found):
-                j = near[slot]
+        num_drones = present.shape[1]
+        _write_among_all(position, velocity, present, w, horizon, near, least, out, 0, num_drones)
+
+
+@func
+def _write_among_all(
+    position: np.ndarray,
+    velocity: np.ndarray,
+    present: np.ndarray,
+    w: int,
+    horizon: float,
+    near: np.ndarray,
+    least: np.ndarray,
+    out: np.ndarray,
+    low: int,
+    high: int,
+) -> None:
+    """Write the drones nearest to those from `low` to before `high`, by loops over all drones."""
+    for i in range(low, high):
+        own = (vec3(position, w, i), vec3(velocity, w, i))
+        found = 0
+        for j in range(present.shape[1]):
+            if present[w, j] and j != i:
                 theirs = (vec3(position, w, j), vec3(velocity, w, j))
-                _write(out, (w, i, slot), theirs, own)
+                distance = _min_distance_within(theirs, own, horizon)
+                found = insert_nearest(near, least, found, j, distance)
+        for slot in range(found):
+            j = near[slot]
+            theirs = (vec3(position, w, j), vec3(velocity, w, j))
+            _write(out, (w, i, slot), theirs, own)
 
 
 @deferred(types.boolean)
@@ -300,18 +320,33 @@ def _write_by_grid(
 
     Returns False, and writes nothing, if a path is not finite.
     """
+    grid = make_point_grid(present.shape[1])
+    if not _fill_nearest_grid(position, velocity, present, w, horizon, grid):
+        return False
+    near, least = np.empty(count, dtype=np.int64), np.empty(count)
     num_drones = present.shape[1]
-    for i in range(num_drones):
+    _write_all_nearest(
+        position, velocity, present, w, horizon, grid, near, least, out, 0, num_drones
+    )
+    return True
+
+
+@func
+def _fill_nearest_grid(
+    position: np.ndarray,
+    velocity: np.ndarray,
+    present: np.ndarray,
+    w: int,
+    horizon: float,
+    grid: Grid,
+) -> bool:
+    """Fill the grid of the paths of world w; return False if a path is not finite."""
+    for i in range(present.shape[1]):
         for k in range(3):
             # Drones that are not present see others, too
             if not math.isfinite(position[w, i, k] + horizon * velocity[w, i, k]):
                 return False
-    grid = make_point_grid(num_drones)
-    if not fill_path_grid(grid, position, velocity, horizon, present, w):
-        return False
-    near, least = np.empty(count, dtype=np.int64), np.empty(count)
-    _write_all_nearest(position, velocity, present, w, horizon, grid, near, least, out)
-    return True
+    return bool(fill_path_grid(grid, position, velocity, horizon, present, w))
 
 
 @kernel
@@ -325,12 +360,17 @@ def _write_all_nearest(
     near: np.ndarray,
     least: np.ndarray,
     out: np.ndarray,
+    low: int,
+    high: int,
 ) -> None:
-    """Write the nearest drones of world w; `near` and `least` (count,) are work arrays."""
+    """Write the drones nearest to those from `low` to before `high` of world w, with its grid.
+
+    `near` and `least` (count,) are work arrays.
+    """
     total = 0
     for i in range(present.shape[1]):
         total += present[w, i]
-    for i in range(present.shape[1]):
+    for i in range(low, high):
         own = (vec3(position, w, i), vec3(velocity, w, i))
         # All entries are found within the final radius
         wanted = min(near.size, total - 1) if present[w, i] else min(near.size, total)
@@ -357,6 +397,74 @@ def _write_all_nearest(
             j = near[slot]
             theirs = (vec3(position, w, j), vec3(velocity, w, j))
             _write(out, (w, i, slot), theirs, own)
+
+
+@kernel
+def start_nearest(
+    position: np.ndarray,
+    velocity: np.ndarray,
+    present: np.ndarray,
+    horizon: float,
+    grid: Grid,
+) -> None:
+    """Fill the grid of a single world for `write_nearest_of_drones`."""
+    if not _fill_nearest_grid(position, velocity, present, 0, horizon, grid):
+        clear_grid(grid)
+
+
+@kernel
+def write_nearest_of_drones(
+    low: int,
+    high: int,
+    position: np.ndarray,
+    velocity: np.ndarray,
+    present: np.ndarray,
+    horizon: float,
+    grid: Grid,
+    out: np.ndarray,
+    near: np.ndarray,
+    least: np.ndarray,
+) -> None:
+    """Do the same as `write_nearest_present` for some drones of a single world.
+
+    Args:
+        low: Index of the first drone.
+        high: Index after the last drone.
+        position: (1, N, 3) m.
+        velocity: (1, N, 3) m/s.
+        present: (1, N) bool.
+        horizon: s.
+        grid: Grid of `start_nearest`.
+        out: (1, N, 7 count) output.
+        near: (count,) work array.
+        least: (count,) work array.
+    """
+    if is_grid_filled(grid):
+        _write_all_nearest(
+            position, velocity, present, 0, horizon, grid, near, least, out, low, high
+        )
+    else:
+        _write_among_all(position, velocity, present, 0, horizon, near, least, out, low, high)
+
+
+def _add_nearest_present(
+    program: Program,
+    position: np.ndarray,
+    velocity: np.ndarray,
+    present: np.ndarray,
+    horizon: float,
+    count: int,
+    out: np.ndarray,
+) -> None:
+    """Add calls to a program that do the same as `write_nearest_present`."""
+    num_worlds, num_drones = present.shape
+    if program.threads == 1 or num_worlds > 1 or num_drones < MIN_POINTS:
+        program.call(write_nearest_present, position, velocity, present, horizon, count, out)
+        return
+    grid, paths = new_point_grid(num_drones), (position, velocity, present, horizon)
+    work = [(np.zeros(count, dtype=np.int64), np.zeros(count)) for _ in range(program.threads)]
+    program.call(start_nearest, *paths, grid)
+    program.call(*program.shared(write_nearest_of_drones, num_drones, *paths, grid, out, own=work))
 
 
 @allocating
