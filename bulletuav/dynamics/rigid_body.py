@@ -23,6 +23,7 @@ from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.dynamics.base import Decision, Dynamics, surroundings
 from bulletuav.dynamics.blocks import (
     CALM,
+    DRONES,
     FEWEST,
     Blocks,
     fly_block,
@@ -420,10 +421,10 @@ class RigidBody(Dynamics):
         if program.threads > 1 and decision.drones.alive.shape[0] == 1:
             self._add_blocks(program, decision)
             return
-        contact, cables = self.contact, self.cables
-        own = []
+        contact, cables, own = self.contact, self.cables, []
+        size = min(max(decision.drones.alive.size // program.threads, 1), DRONES)
         for _ in range(program.threads):
-            own.append((contact, Blocks.of(decision.drones, decision.cascade), cables))
+            own.append((contact, Blocks.of(decision.drones, decision.cascade, size), cables))
             contact, cables = contact.for_thread(), cables.for_thread()
         groups = -(-len(decision.drones.alive) // len(own[0][1].command))
         program.call(*program.shared(advance_rigid_body, groups, decision, own=own))

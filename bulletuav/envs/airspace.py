@@ -123,8 +123,8 @@ class Airspace(Environment):
             **options: dynamics, seed, effects, wind, wind_profile, turbulence, gravity, max_speed,
                 controller, contacts, friction, restitution, randomization, rays, camera,
                 camera_size, camera_hz, camera_range, camera_depth, camera_mounts, num_beams,
-                max_range, lidar_elevations, lidar_frame, render_mode, render_size, debug; see
-                `EnvOptions`.
+                max_range, lidar_elevations, lidar_frame, render_mode, render_size, debug,
+                threads; see `EnvOptions`.
 
         Raises:
             ValueError: If an option is invalid, or drones overlap each other or the scene.

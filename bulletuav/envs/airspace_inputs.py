@@ -128,6 +128,7 @@ def airspace_options(
     # Setpoints come from `command`; action "rotor" is valid with all other options
     values |= {"num_drones": len(places), "action": "rotor", "horizon": 1, "sensors": listed}
     options = EnvOptions(**values)
+    options.check_worlds(1)
     if options.render_mode in VIEWERS:
         raise ValueError(
             f"render_mode is {options.render_mode!r}: live views show tasks; use 'human' or "

@@ -49,7 +49,7 @@ class AirspaceSimulation:
 
     def make_program(self) -> Program:
         """Make the program of a step."""
-        program = Program()
+        program = Program(self.world.options.threads)
         for stage in self.stages:
             stage.add_to(program, self.world)
         program.compile()  # now, so that the first step is as fast as later ones

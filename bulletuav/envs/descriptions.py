@@ -33,6 +33,7 @@ WITHOUT_EFFECT = frozenset(
         *("render_mode", "render_size", "render_address"),
         # The same results, computed in Python
         "debug",
+        "threads",
         # Infos only
         "action_masks",
     }

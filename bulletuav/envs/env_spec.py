@@ -95,6 +95,7 @@ class EnvSpec:
         kind = find_task(task)
         self.num_worlds = as_int("num_worlds", num_worlds, 1, MAX_WORLDS)
         self.options, config, self.sensors = resolve_options(kind, options)
+        self.options.check_worlds(self.num_worlds)
         self._require_memory(BODY_BYTES * self.options.num_drones)
         self._check_absent(kind)
         self.task = _make_task(kind, config, self.options)

@@ -48,6 +48,7 @@ MAX_PIXELS = 4096  # per side
 MAX_BEAMS = 8192  # of a drone's range finder, in total
 MAX_LIDAR_RANGE = 10_000.0  # m
 MAX_CAPACITY = 1e6  # W h
+MIN_SHARED = 64  # drones of a single world that several threads share
 MAX_NAMES = 100  # in a list of names
 MAX_SIZE, MAX_COUNT = 1e9, 10**9  # of task config numbers without a bound of their own
 MAX_WEIGHT = 1e6
@@ -180,7 +181,8 @@ class EnvOptions:
             attributes. None for no messages.
         threads: Number of threads that compute a decision, with the same results. They share the
             worlds of a batch, or the drones of a single world, which pays from some hundred drones
-            on. It needs dynamics "rigid_body" or a kinematic one.
+            on. It needs dynamics "rigid_body" or a kinematic one. Sensors, wind functions and
+            Python code of tasks run on one thread.
     """
 
     num_drones: int
@@ -285,6 +287,14 @@ class EnvOptions:
         self._check_sensors()
         self._check_cameras()
         self._check_flight()
+
+    def check_worlds(self, num_worlds: int) -> None:
+        """Raise ValueError if there is too little to share between several threads."""
+        if self.threads > 1 and num_worlds == 1 and self.num_drones < MIN_SHARED:
+            raise ValueError(
+                f"threads is {self.threads}: {self.num_drones} drones of one world fly on one "
+                f"thread; threads share the worlds of a batch, or {MIN_SHARED} drones or more"
+            )
 
     def _check_threads(self, has_threads: bool) -> None:
         if self.threads > 1 and not has_threads:
