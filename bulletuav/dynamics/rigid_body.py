@@ -337,13 +337,18 @@ def fly_blocks(
         contact: State of the contact solver.
         cables: Cables between the bodies.
         blocks: Blocks of the world, with scratch arrays of the thread.
-        found: (1,) set to 1 if a drone's motion budget is used up.
+        found: (2,) set to 1 if a drone's motion budget is used up, and if a drone sleeps.
     """
     decision, contact, cables = in_memory(decision), in_memory(contact), in_memory(cables)
     blocks = in_memory(blocks)
     drones, high = decision.drones, min(end * WIDTH, decision.drones.alive.shape[1])
     part = Part(0, 1, begin * WIDTH, high, begin, end)
     _fly_part(decision, contact, blocks, cables, part)
+    num_sleeping = 0
+    for i in range(part.low, part.high):
+        num_sleeping += blocks.sleeping[i]
+    if num_sleeping > 0:
+        found[1] = 1
     # Tied drones move later
     if cables.num_groups[0] == 0:
         dt = decision.step.dt
@@ -374,19 +379,22 @@ def finish_substep(
     blocks = in_memory(blocks)
     drones, step = decision.drones, decision.step
     swarm, alive, asleep = drones.swarm, drones.alive, contact.asleep
-    num_drones, is_found = alive.shape[1], False
-    part = Part(0, 1, 0, num_drones, 0, blocks.packed.shape[0])
-    _fly_rest(decision, contact, blocks, cables, part, True)
-    is_tied = cables.num_groups[0] > 0
-    if is_tied:
-        fly_tied(decision, blocks, cables, contact, 0, 0)
-    for i in range(num_drones):
-        # Drones that have just been woken were skipped as sleeping ones
-        if is_tied or (blocks.sleeping[i] and not asleep[0, i]):
-            is_found |= update_budgets(contact, swarm, alive, 0, step.dt, i, i + 1)
+    num_drones, is_found, is_any_asleep = alive.shape[1], False, False
     for thread in range(found.shape[0]):
         is_found |= found[thread, 0] > 0
-        found[thread, 0] = 0
+        is_any_asleep |= found[thread, 1] > 0
+        found[thread, 0] = found[thread, 1] = 0
+    is_tied = cables.num_groups[0] > 0
+    if is_any_asleep:
+        part = Part(0, 1, 0, num_drones, 0, blocks.packed.shape[0])
+        _fly_rest(decision, contact, blocks, cables, part, True)
+        for i in range(num_drones):
+            # Drones that have just been woken were skipped as sleeping ones
+            if not is_tied and blocks.sleeping[i] and not asleep[0, i]:
+                is_found |= update_budgets(contact, swarm, alive, 0, step.dt, i, i + 1)
+    if is_tied:
+        fly_tied(decision, blocks, cables, contact, 0, 0)
+        is_found |= update_budgets(contact, swarm, alive, 0, step.dt, 0, num_drones)
     if is_found and resolve_world(contact, drones, 0, substep, step) and is_tied:
         hold_tied(decision, cables, contact, 0)
 
