@@ -158,7 +158,8 @@ def _place(context: Any, builder: Any, address: Any) -> Any:
 @kernel
 def _find_chunk(team: int, thread: int, ticket: int) -> int:
     """Return a chunk that a ticket has left for a thread; -1 if there is none."""
-    chunks, threads = _load(team + _CHUNKS), _load(team + _THREADS)
+    chunks: int = _load(team + _CHUNKS)
+    threads: int = _load(team + _THREADS)
     if (ticket & _CHUNKS_LEFT) == 0 or thread >= threads:
         return -1
     first = chunks * thread // threads

@@ -81,7 +81,7 @@ def _fly_alone(
     set_state(swarm, w, i, state)
 
 
-class Part(NamedTuple):
+class GroupPart(NamedTuple):
     """Drones of a group of worlds that one thread flies.
 
     Attributes:
@@ -107,7 +107,7 @@ def _mark(
     contact: ContactState,
     blocks: Blocks,
     tied: np.ndarray,
-    part: Part,
+    part: GroupPart,
     dt: float,
 ) -> None:
     """Mark the drones to integrate in blocks, and those that sleep."""
@@ -134,7 +134,9 @@ def _mark(
 
 
 @func
-def _steer_blocks(decision: Decision, contact: ContactState, blocks: Blocks, part: Part) -> None:
+def _steer_blocks(
+    decision: Decision, contact: ContactState, blocks: Blocks, part: GroupPart
+) -> None:
     """Run the controllers of blocks that are not integrated together, such as of tied drones."""
     alive, stopped, steered = decision.drones.alive, contact.stopped, blocks.steered
     num_drones, first, last = alive.shape[1], part.first, part.last
@@ -183,7 +185,7 @@ def fly_worlds(
         last: The world after the last one.
         substep: Index of the substep in the decision.
     """
-    part = Part(first, last, 0, decision.drones.alive.shape[1], 0, blocks.packed.shape[0])
+    part = GroupPart(first, last, 0, decision.drones.alive.shape[1], 0, blocks.packed.shape[0])
     _sum_wakes(decision, blocks, first, last, substep)
     _fly_part(decision, contact, blocks, cables, part)
     _fly_rest(decision, contact, blocks, cables, part, True)
@@ -204,7 +206,7 @@ def _sum_wakes(decision: Decision, blocks: Blocks, first: int, last: int, subste
 
 @func
 def _fly_part(
-    decision: Decision, contact: ContactState, blocks: Blocks, cables: Cables, part: Part
+    decision: Decision, contact: ContactState, blocks: Blocks, cables: Cables, part: GroupPart
 ) -> None:
     """Fly one substep of drones that neither sleep nor are tied; they do not affect each other."""
     drones, setpoints, cascade = decision.drones, decision.setpoints, decision.cascade
@@ -235,7 +237,7 @@ def _fly_rest(
     contact: ContactState,
     blocks: Blocks,
     cables: Cables,
-    part: Part,
+    part: GroupPart,
     is_asleep: bool,
 ) -> None:
     """Fly drones one by one that are not in blocks: those that sleep, or all others.
@@ -342,7 +344,7 @@ def fly_blocks(
     decision, contact, cables = in_memory(decision), in_memory(contact), in_memory(cables)
     blocks = in_memory(blocks)
     drones, high = decision.drones, min(end * WIDTH, decision.drones.alive.shape[1])
-    part = Part(0, 1, begin * WIDTH, high, begin, end)
+    part = GroupPart(0, 1, begin * WIDTH, high, begin, end)
     _fly_part(decision, contact, blocks, cables, part)
     num_sleeping = 0
     for i in range(part.low, part.high):
@@ -386,7 +388,7 @@ def finish_substep(
         found[thread, 0] = found[thread, 1] = 0
     is_tied = cables.num_groups[0] > 0
     if is_any_asleep:
-        part = Part(0, 1, 0, num_drones, 0, blocks.packed.shape[0])
+        part = GroupPart(0, 1, 0, num_drones, 0, blocks.packed.shape[0])
         _fly_rest(decision, contact, blocks, cables, part, True)
         for i in range(num_drones):
             # Drones that have just been woken were skipped as sleeping ones

@@ -449,13 +449,13 @@ class WakeSearch(NamedTuple):
         grid: Horizontal grid of the drones.
         edge: (1,) square of the range of the widest wake, m^2.
         end: (N,) index after the last drone of the range that starts with this drone.
-        count: (N,) number of pairs of that range.
+        listed: (N,) number of pairs of that range.
     """
 
     grid: Grid
     edge: np.ndarray
     end: np.ndarray
-    count: np.ndarray
+    listed: np.ndarray
 
     @classmethod
     def of(cls, num_drones: int) -> "WakeSearch":
@@ -504,7 +504,7 @@ def list_pairs_of_drones(
         end = _list_near_pairs(
             *given, 0, 0, skin, edge, search.grid, near, wakes.pairs, first, low, high
         )
-        search.end[low], search.count[low] = high, end - first
+        search.end[low], search.listed[low] = high, end - first
 
 
 @kernel
@@ -523,7 +523,7 @@ def sum_listed_wakes(
     pairs, low, total, num_drones = wakes.pairs, 0, 0, alive.shape[1]
     while low < num_drones:
         first = _first_pair(num_drones, low)
-        for p in range(first, first + search.count[low]):
+        for p in range(first, first + search.listed[low]):
             for k in range(3):
                 pairs[total, k] = pairs[p, k]
             total += 1

@@ -244,11 +244,15 @@ def test_drones_that_are_not_alive_neither_move_nor_act(make_bench, dynamics):
     assert bench.swarm.velocity[0, 0, 2] == pytest.approx(0, abs=1e-9)  # no wake from above
 
 
+RANGES = ("begin", "end", "first", "last")
+"""Arguments of kernels that threads share: the first item, and the end"""
+
+
 @pytest.mark.parametrize(
     "advance", [bullet.advance_bullet, kinematic.advance_kinematic, rigid_body.advance_rigid_body]
 )
 def test_advance_takes_the_same_records_in_all_dynamics(advance):
-    names = list(inspect.signature(advance.py_func).parameters)
+    names = [one for one in inspect.signature(advance.py_func).parameters if one not in RANGES]
     assert names[:2] == ["decision", "contact"]
     assert len(names) <= 5
 
