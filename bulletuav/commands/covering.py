@@ -22,6 +22,7 @@ from bulletuav.compiled.deferred import compile_deferred
 from bulletuav.dynamics import DYNAMICS
 from bulletuav.envs.airspace import Airspace
 from bulletuav.envs.aviary import Aviary
+from bulletuav.geometry.grid import MIN_POINTS
 from bulletuav.identification.example import fly_example, write_example_log
 from bulletuav.identification.identify import identify
 from bulletuav.policies import find_policy, policy_names
@@ -58,6 +59,8 @@ GOALS = ("leave", "land", "hold")
 CITIES = ("suburban", "high_rise", "open")
 IMAGES = (("rgb", "depth", "segmentation"), ("velocity", "ray_depth"))
 EFFECTS = ("drag", "downwash")
+THREADED: Mapping[str, Any] = MappingProxyType({"threads": 2, "num_drones": MIN_POINTS})
+"""Options of large worlds that several threads fly"""
 CONTACTS = ("stop", "impulse", "bullet")
 POLICY_TASKS = ("converge", "hover", "default", "lidar_navigation", "coverage", "los", "mec")
 """Tasks in which each policy flies that supports them; each task is flown by its baseline"""
@@ -104,6 +107,13 @@ def list_flights() -> list[CoveringFlight]:
     flown += [
         CoveringFlight(f"airspace, {dynamics}", functools.partial(_fly_airspace, dynamics, sensors))
         for dynamics, sensors in itertools.product(DYNAMICS, ([], names("sensor")))
+    ]
+    flown += [
+        CoveringFlight(
+            f"threads, {dynamics}",
+            functools.partial(fly_shortly, "crossing", 1, dynamics=dynamics, **THREADED),
+        )
+        for dynamics in ("rigid_body", "point_mass")
     ]
     return [*flown, CoveringFlight("identification", _identify)]
 

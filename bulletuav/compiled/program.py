@@ -93,7 +93,7 @@ class Program:
             return (kernel, 0, size, *arguments, *(own[0] if own else ()))
         every = [(0, 0, *arguments, *one) for one in own or [()] * self.threads]
         job = np.zeros((self.threads, 2), dtype=np.int64)
-        known: dict[int, np.ndarray] = {}
+        known = _Known({}, {}, {})
         words = [_words_of(kernel, one, known) for one in every]
         for row, (caller, numbers) in zip(job, words, strict=True):
             row[:] = caller, numbers.ctypes.data
@@ -147,44 +147,46 @@ class Program:
             return
         table = np.zeros((len(self._calls), 2), dtype=np.int64)
         kept: list[np.ndarray] = []
-        # Most calls share tuples and arrays, which live as long as the calls: ids are unique
-        keys: dict[int, Any] = {}
-        known: dict[int, list[int]] = {}
-        records: dict[int, np.ndarray] = {}
+        known = _Known({}, {}, {})
         for row, (made, arguments, _) in zip(table, self._calls, strict=True):
             if made is not None:
-                for one in arguments:
-                    if id(one) not in keys:
-                        keys[id(one)] = specialisation_key(one)
-                function, caller = _addresses(made, tuple(keys[id(one)] for one in arguments))
-                numbers = [function]
-                for one in arguments:
-                    if is_nested(one):
-                        if id(one) not in records:
-                            records[id(one)] = _record(one)
-                        numbers.append(records[id(one)].ctypes.data)
-                    else:
-                        numbers += _flat(one, known)
-                words = np.array(numbers, dtype=np.int64)
-                row[:] = caller, words.ctypes.data
+                row[0], words = _words_of(made, arguments, known)
+                row[1] = words.ctypes.data
                 kept.append(words)
         # Assigned together, so that an interrupt cannot leave an incomplete table
-        self._words, self.table = [*kept, *records.values()], table
+        self._words, self.table = [*kept, *known.records.values()], table
 
 
-def _words_of(
-    function: Any, arguments: tuple[Any, ...], records: dict[int, np.ndarray]
-) -> tuple[int, np.ndarray]:
-    """Return the caller of a function, and the words of a call of it; `records` keeps records."""
-    address, caller = _addresses(function, tuple(map(specialisation_key, arguments)))
+class _Known(NamedTuple):
+    """What is known of arguments by their ids, which are unique while the arguments live.
+
+    Most calls share tuples and arrays.
+
+    Attributes:
+        keys: Keys of specialisations.
+        words: Words of arrays and tuples, see `_flat`.
+        records: Nested records in memory, see `_record`.
+    """
+
+    keys: dict[int, Any]
+    words: dict[int, list[int]]
+    records: dict[int, np.ndarray]
+
+
+def _words_of(function: Any, arguments: tuple[Any, ...], known: _Known) -> tuple[int, np.ndarray]:
+    """Return the address of a function's caller, and the words of a call of the function."""
+    for one in arguments:
+        if id(one) not in known.keys:
+            known.keys[id(one)] = specialisation_key(one)
+    address, caller = _addresses(function, tuple(known.keys[id(one)] for one in arguments))
     numbers = [address]
     for one in arguments:
         if is_nested(one):
-            if id(one) not in records:
-                records[id(one)] = _record(one)
-            numbers.append(records[id(one)].ctypes.data)
+            if id(one) not in known.records:
+                known.records[id(one)] = _record(one)
+            numbers.append(known.records[id(one)].ctypes.data)
         else:
-            numbers += _flat(one, {})
+            numbers += _flat(one, known.words)
     return caller, np.array(numbers, dtype=np.int64)
 
 

@@ -38,6 +38,7 @@ from numba.extending import intrinsic
 from bulletuav.compiled.dispatcher import Dispatcher
 from bulletuav.compiled.kernel import kernel
 from bulletuav.cores import count_cores
+from bulletuav.interrupts import block_interrupts
 
 MAX_THREADS = 32
 CHUNKS = 8
@@ -311,8 +312,10 @@ class Team:
                 self._write(_HELPERS + 8 * CACHE_LINE * thread + _OWN_LOCK, _make_lock())
                 name = f"bulletuav helper {thread}"
                 helper = threading.Thread(target=self._run, args=(thread,), name=name, daemon=True)
+                # Listed first: after an error no second helper may have the same scratch arrays
                 self._helpers.append(helper)
-                helper.start()
+                with block_interrupts():
+                    helper.start()
 
     def _run(self, thread: int) -> None:
         """Stay in compiled code until the team ends."""
@@ -335,7 +338,8 @@ class Team:
             # Released even if the helper polls, as it may be about to sleep
             lock = ctypes.c_void_p(int(self._words[word + _OWN_LOCK // 8]))
             ctypes.pythonapi.PyThread_release_lock(lock)
-            helper.join(1.0)
+            if helper.ident is not None:
+                helper.join(1.0)
 
     def forget(self) -> None:
         """Forget the helpers, which a forked process does not have."""
