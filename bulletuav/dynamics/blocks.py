@@ -157,12 +157,18 @@ def pack_blocks(blocks: Any, air: Any, first: int, begin: int, end: int) -> None
         for r in range(air.rotor_ratio.shape[2]):
             ratio[r] = gathered(air.rotor_ratio, drone, r)
         blocks.alike[b] = _are_alike(blocks, drone, b * WIDTH)
-    pack_surface(blocks, air, first, begin, end)
+    _pack_heights(blocks, air, first, begin, end)
 
 
 @kernel
-def pack_surface(blocks: Any, air: Any, first: int, begin: int, end: int) -> None:
+def pack_surface(blocks: Any, air: Any, first: int) -> None:
     """Pack the heights of the surface below a group's drones; see `pack_blocks`."""
+    _pack_heights(blocks, air, first, 0, blocks.packed.shape[0])
+
+
+@func
+def _pack_heights(blocks: Any, air: Any, first: int, begin: int, end: int) -> None:
+    """Pack the heights of the surface of some blocks; see `pack_blocks`."""
     count = min(-(-(blocks.rows.size - first) // WIDTH), end)
     for b in range(begin, count):
         lanes_of(blocks.held, b)[3] = gathered(air.surface, first + b * WIDTH, 0)

@@ -91,7 +91,7 @@ def fly_ahead(decision: Decision, contact: ContactState, flight: BulletFlight, p
     if piece == 0:
         start_worlds(decision, blocks, 0, num_worlds)
     elif flight.near_ground and drones.alive.size >= FEWEST:
-        pack_surface(blocks, decision.air, 0, 0, blocks.packed.shape[0])
+        pack_surface(blocks, decision.air, 0)
     fly_worlds(decision, contact, blocks, cables, 0, num_worlds, piece)
     _choose_flying(drones, contact, flight.flying)
     swarm, start, wrenches = drones.swarm, contact.start, flight.wrenches
