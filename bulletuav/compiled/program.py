@@ -82,7 +82,8 @@ class Program:
 
         Args:
             kernel: Function of (first, last, *arguments, *own) that returns nothing. It computes
-                the items from `first` to before `last`, in any order, and writes nothing else.
+                the items from `first` to before `last`, in any order, and writes nothing else. If
+                the program is also used by `by_world`, it must end at the size of its arrays.
             size: Number of items; few items, each of which takes a microsecond or more, are best.
             *arguments: Arguments of all threads.
             own: Arguments of each thread, a tuple for each; the kernel may write scratch arrays in

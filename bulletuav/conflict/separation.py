@@ -238,7 +238,8 @@ def fill_conflict(
     """
     num_drones = alive.shape[1]
     paths, results = (before, after), (separation, onsets, nearness)
-    for w in range(first, last):
+    # A program of one world at a time has arrays of one world
+    for w in range(first, min(last, alive.shape[0])):
         if num_drones >= MIN_POINTS and _fill_by_grid(
             before, after, alive, w, d_safe, zone, separation, onsets, nearness
         ):
