@@ -17,8 +17,9 @@ from numba import types
 import bulletuav
 from bulletuav.compiled.deferred import deferred
 from bulletuav.compiled.kernel import kernel
-from bulletuav.compiled.program import Program
+from bulletuav.compiled.program import Program, by_world
 from bulletuav.compiled.threads import TEAM
+from bulletuav.conflict.separation import add_conflict, measure_conflict, no_conflict
 from bulletuav.envs.aviary import Aviary
 
 THREADS = (2, 3, 5)
@@ -130,6 +131,17 @@ def test_python_threads_share_the_helpers():
     for worker in workers:
         worker.join()
     np.testing.assert_array_equal(outs, 500)
+
+
+def test_programs_by_world_compute_the_items_of_their_world_only():
+    places, alive = np.random.default_rng(0).normal(size=(2, 3, 4, 3)), np.ones((3, 4), bool)
+    conflict = no_conflict((3, 4))
+    program = Program()
+    add_conflict(program, *places, alive, 0.5, 1.0, conflict)
+    by_world(program, [*places, alive, *conflict]).run(np.array([False, True, False]))
+    expected = measure_conflict(*places, alive, 0.5, 1.0)
+    np.testing.assert_array_equal(conflict.separation[1], expected.separation[1])
+    assert np.isinf(conflict.separation[[0, 2]]).all()
 
 
 def fly(task, num_worlds, steps, **options):
