@@ -6,22 +6,33 @@ References:
     J. van den Berg, S. Guy, M. Lin, D. Manocha, Reciprocal n-body collision avoidance (2011).
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
-from bulletuav.compiled.kernel import allocating, kernel
+from bulletuav.compiled.kernel import allocating, func, kernel
 from bulletuav.envs.aviary import Aviary
-from bulletuav.geometry.rotation import vec3
+from bulletuav.geometry.grid import (
+    Grid,
+    cells_around,
+    clear_grid,
+    fill_grid,
+    is_grid_filled,
+    make_point_grid,
+    num_rows,
+    row_items,
+    sort_by_key,
+)
+from bulletuav.geometry.rotation import Vec3, dot, minus, point, vec3
 from bulletuav.policies.avoidance import Avoidance
 from bulletuav.policies.half_spaces import (
     AvoidanceParameters,
-    add_half_space,
     add_obstacle_half_spaces,
-    find_nearest_drones,
     max_conflict_distance,
     orca_half_space,
     solve_with_right_turn,
 )
-from bulletuav.policies.linear_program import DEPTH
+from bulletuav.policies.linear_program import DEPTH, write_half_space
 from bulletuav.policies.traffic import Traffic
 from bulletuav.registry import register
 
@@ -48,6 +59,28 @@ class Orca(Avoidance):
         return orca_velocities(traffic, preferred, parameters)
 
 
+class _Nearby(NamedTuple):
+    """Work arrays of the half-spaces of other drones around one drone, before they are sorted.
+
+    Attributes:
+        item: (M,) indices of other drones.
+        distance: (M,) squared distances of these drones, m^2.
+        normal: (P, 3) normal of the half-space of each drone by index.
+        bound: (P,) bound of the half-space of each drone by index, m/s.
+        first: (M,) first entry of each bin of distances.
+        sorted_item: (M,) the same indices, sorted by distance.
+        sorted_distance: (M,) the same squared distances, sorted.
+    """
+
+    item: np.ndarray
+    distance: np.ndarray
+    normal: np.ndarray
+    bound: np.ndarray
+    first: np.ndarray
+    sorted_item: np.ndarray
+    sorted_distance: np.ndarray
+
+
 @allocating
 def orca_velocities(
     traffic: Traffic, preferred: np.ndarray, parameters: AvoidanceParameters
@@ -67,15 +100,32 @@ def orca_velocities(
     """
     result = np.empty(preferred.shape)
     # One half-space for each neighbour, each sphere and each surface.
-    others = traffic.known.shape[2]
+    others = max(traffic.known.shape[2], traffic.alive.shape[1])
     capacity = others + traffic.sphere_radius.shape[2] + traffic.surface.shape[2]
     rows = np.empty((DEPTH, capacity, 4))
     scratch = np.empty_like(rows)
-    near = np.empty(others, np.int64)
-    distance = np.empty(others)
+    nearby = _Nearby(
+        item=np.empty(others, np.int64),
+        distance=np.empty(others),
+        normal=np.empty((others, 3)),
+        bound=np.empty(others),
+        first=np.empty(others, np.int64),
+        sorted_item=np.empty(others, np.int64),
+        sorted_distance=np.empty(others),
+    )
+    is_searched = traffic.alive.shape[1] > 0
+    grid = make_point_grid(traffic.alive.shape[1])
     for w in range(preferred.shape[0]):
+        if is_searched:
+            grid.place[:] = traffic.position[w]
+            if not fill_grid(grid, traffic.alive, w):
+                clear_grid(grid)
         for i in range(preferred.shape[1]):
-            count = _add_drone_half_spaces(rows, traffic, parameters, near, distance, w, i)
+            if is_searched:
+                found = _search_drones(nearby, grid, traffic, parameters, w, i)
+            else:
+                found = _read_drones(nearby, traffic, parameters, w, i)
+            count = _write_half_spaces(rows, nearby, found)
             count = add_obstacle_half_spaces(rows, count, traffic, parameters, w, i)
             best = solve_with_right_turn(
                 rows, scratch, count, vec3(preferred, w, i), parameters.max_speed
@@ -86,23 +136,107 @@ def orca_velocities(
 
 
 @kernel
-def _add_drone_half_spaces(
-    rows: np.ndarray,
-    traffic: Traffic,
-    parameters: AvoidanceParameters,
-    near: np.ndarray,
-    distance: np.ndarray,
-    w: int,
-    i: int,
+def _read_drones(
+    nearby: _Nearby, traffic: Traffic, parameters: AvoidanceParameters, w: int, i: int
 ) -> int:
-    """Write the half-spaces of all drones that are near enough to matter; return their number."""
+    """List the half-spaces of all known drones that matter; return their number."""
+    found = 0
     own = vec3(traffic.velocity, w, i)
+    for k in range(traffic.known.shape[2]):
+        if traffic.known[w, i, k]:
+            offset = vec3(traffic.offset[w], i, k)
+            velocity = vec3(traffic.other_velocity[w], i, k)
+            found = _add_drone(nearby, found, k, offset, own, velocity, parameters)
+    return found
+
+
+@kernel
+def _search_drones(
+    nearby: _Nearby, grid: Grid, traffic: Traffic, parameters: AvoidanceParameters, w: int, i: int
+) -> int:
+    """List the half-spaces of all drones of a swarm that matter; return their number."""
+    found = 0
+    if not traffic.alive[w, i]:
+        return found
+    here, own = vec3(traffic.position, w, i), vec3(traffic.velocity, w, i)
+    if not is_grid_filled(grid):
+        # A position is not finite
+        for j in range(traffic.alive.shape[1]):
+            if traffic.alive[w, j] and j != i:
+                offset = minus(vec3(traffic.position, w, j), here)
+                velocity = vec3(traffic.velocity, w, j)
+                found = _add_drone(nearby, found, j, offset, own, velocity, parameters)
+        return found
+    box = cells_around(grid, here, max_conflict_distance(parameters) + grid.sizes[1])
+    for row in range(num_rows(box)):
+        first, last = row_items(grid, box, row)
+        for m in range(first, last):
+            j = grid.item[m]
+            if j != i:
+                offset = minus(vec3(traffic.position, w, j), here)
+                velocity = vec3(traffic.velocity, w, j)
+                found = _add_drone(nearby, found, j, offset, own, velocity, parameters)
+    return found
+
+
+@func
+def _add_drone(
+    nearby: _Nearby,
+    found: int,
+    k: int,
+    offset: Vec3,
+    own: Vec3,
+    velocity: Vec3,
+    parameters: AvoidanceParameters,
+) -> int:
+    """List the half-space of drone k unless it permits all velocities; return the new number."""
+    # Squared distances have the same order, and need no square root
+    square = dot(offset, offset)
     max_distance = max_conflict_distance(parameters)
-    count = 0
-    for k in range(find_nearest_drones(traffic, w, i, max_distance, near, distance)):
-        offset = vec3(traffic.offset[w], i, near[k])
-        other_velocity = vec3(traffic.other_velocity[w], i, near[k])
+    if square <= max_distance * max_distance:
         # Reciprocal avoidance: each drone performs half.
-        space = orca_half_space(offset, own, other_velocity, parameters.separation, parameters, 0.5)
-        count = add_half_space(rows, count, space, parameters.max_speed)
-    return count
+        n, bound = orca_half_space(offset, own, velocity, parameters.separation, parameters, 0.5)
+        # Fewer half-spaces have to be sorted if they are left out here
+        if not bound <= -parameters.max_speed:
+            nearby.item[found], nearby.distance[found] = k, square
+            nearby.bound[k] = bound
+            for axis in range(3):
+                nearby.normal[k, axis] = n[axis]
+            return found + 1
+    return found
+
+
+@func
+def _write_half_spaces(rows: np.ndarray, nearby: _Nearby, found: int) -> int:
+    """Write the listed half-spaces, those of the nearest drones first; return their number."""
+    _sort_into_bins(nearby, found)
+    sort_by_key(nearby.sorted_distance, nearby.sorted_item, found)
+    for m in range(found):
+        k = nearby.sorted_item[m]
+        write_half_space(rows, 0, m, point(nearby.normal, k), nearby.bound[k])
+    return found
+
+
+@func
+def _sort_into_bins(nearby: _Nearby, found: int) -> None:
+    """Sort the listed drones roughly by distance, which makes their exact sorting faster.
+
+    The squares of the distances to drones that are spread evenly in a plane are spread evenly, too,
+    so that there is a bin for each drone.
+    """
+    first = nearby.first
+    max_distance = 0.0
+    for m in range(found):
+        max_distance = max(max_distance, nearby.distance[m])
+        first[m] = 0
+    scale = (found - 1) / max_distance if max_distance > 0.0 else 0.0
+    # Counting sort, as in `fill_grid`
+    for m in range(found):
+        first[int(nearby.distance[m] * scale)] += 1
+    for b in range(1, found):
+        first[b] += first[b - 1]
+    for m in range(found):
+        b = int(nearby.distance[m] * scale)
+        first[b] -= 1
+        nearby.sorted_item[first[b]] = nearby.item[m]
+        nearby.sorted_distance[first[b]] = nearby.distance[m]
