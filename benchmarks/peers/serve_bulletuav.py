@@ -169,7 +169,7 @@ def batched_crossing(worlds: int, drones: int):
 def floor(worlds: int, drones: int):
     """Take steps of the engine alone, in C, with a wrench and a state of every drone."""
     engine, cases = make_engine_cases(worlds, drones)
-    if engine.port is None:
+    if not engine.ports:
         raise RuntimeError("needs the C extension: see `bulletuav doctor`")
     return cases["engine calls"], worlds * drones * SUBSTEPS
 
@@ -217,7 +217,9 @@ def beams_alone(worlds: int):
     """
     aviary = bulletuav.batch_env("lidar_navigation", worlds, **CITY, **PIECE).aviary
     aviary.reset(seeds=0)
-    engine = Engine(aviary.options.airframe, worlds, 1 / 10, layouts=aviary.task.layouts())
+    engine = Engine(
+        aviary.options.airframe, worlds, 1 / 10, layouts=aviary.task.layouts(), rays="bullet"
+    )
     everyone = np.ones(engine.shape, dtype=bool)
     engine.set_layouts(aviary.scene.layout, everyone[:, 0])
     azimuth = np.radians([beam.azimuth for beam in make_beams(CITY["num_beams"], (0.0,))])
@@ -231,7 +233,7 @@ def beams_alone(worlds: int):
 
 def in_c(engine: Engine, start: np.ndarray, end: np.ndarray, tile: np.ndarray):
     """Cast rays by a call of the C extension alone."""
-    port = engine.port
+    port = engine.surface_port
     if port is None:
         raise RuntimeError("needs the C extension: see `bulletuav doctor`")
     start = start + port.offset[tile, 0]
@@ -267,7 +269,8 @@ def street_rays(buildings: int, how: str):
         return partial(
             pybullet.rayTestBatch, start, end, numThreads=1, physicsClientId=client
         ), RAYS
-    engine = Engine([load_airframe("cf2x")], 1, 1 / 240, layouts=[city.solids])
+    rays = "bullet" if how == "C" else "compiled"
+    engine = Engine([load_airframe("cf2x")], 1, 1 / 240, layouts=[city.solids], rays=rays)
     tile = np.zeros(RAYS, dtype=np.int64)
     engine.set_layouts(tile[:1], np.ones(1, dtype=bool))
     if how == "C":

@@ -63,9 +63,19 @@ def place_world_obstacles(contact: ContactState, w: int, substep: int, step: Tim
 
 
 @kernel
-def place_obstacles(contact: ContactState, substep: int, step: TimeStep) -> None:
-    """Set the obstacles of all worlds in which any moves; see `place_world_obstacles`."""
-    for w in range(contact.speed.shape[0]):
+def place_obstacles(
+    contact: ContactState, first: int, last: int, substep: int, step: TimeStep
+) -> None:
+    """Set the obstacles of worlds in which any moves; see `place_world_obstacles`.
+
+    Args:
+        contact: State of all contacts.
+        first: The first world.
+        last: The world after the last one.
+        substep: Index of the substep in the decision.
+        step: Division of the decision into substeps.
+    """
+    for w in range(first, last):
         if contact.speed[w] > 0.0:
             place_world_obstacles(contact, w, substep, step)
 

@@ -46,7 +46,7 @@ class BulletFlight(NamedTuple):
     """Work arrays of the flight of W worlds of N drones in Bullet.
 
     Attributes:
-        blocks: Work arrays of the flight of `rigid_body`, for all worlds.
+        blocks: Work arrays of the flight of `rigid_body`, for the largest group of worlds.
         cables: Cables between the bodies.
         velocity: (W, N, 3) velocities of the drones in Bullet, world axes, m/s.
         omega: (W, N, 3) angular velocities of the drones in Bullet, world axes, rad/s.
@@ -67,35 +67,46 @@ class BulletFlight(NamedTuple):
 
 
 @func
-def _choose_flying(drones: DroneArrays, contact: ContactState, flying: np.ndarray) -> None:
+def _choose_flying(
+    drones: DroneArrays, contact: ContactState, flying: np.ndarray, first: int, last: int
+) -> None:
     """Mark the drones that move: a drone that a contact stopped rests until the decision ends."""
-    for w in range(flying.shape[0]):
+    for w in range(first, last):
         for i in range(flying.shape[1]):
             flying[w, i] = drones.alive[w, i] and not contact.stopped[w, i]
 
 
 @kernel
-def fly_ahead(decision: Decision, contact: ContactState, flight: BulletFlight, piece: int) -> None:
-    """Fly one substep without contacts, and write the wrenches with which Bullet does the same.
+def fly_ahead(
+    decision: Decision,
+    contact: ContactState,
+    flight: BulletFlight,
+    first: int,
+    last: int,
+    piece: int,
+) -> None:
+    """Fly one substep of worlds without contacts, and write wrenches for Bullet to do the same.
 
     Args:
         decision: Inputs of the decision; the swarm is at the end of the substep afterwards.
         contact: State of the contact solver, which keeps the state at the begin of the substep.
         flight: Work arrays; the wrenches, and the drones that Bullet moves, are written.
+        first: The first world.
+        last: The world after the last one.
         piece: Index of the substep in the decision.
     """
     decision, contact = in_memory(decision), in_memory(contact)
     blocks, cables = in_memory(flight.blocks), in_memory(flight.cables)
     drones, dt = decision.drones, decision.step.dt
-    num_worlds, num_drones = drones.alive.shape
+    num_drones = drones.alive.shape[1]
     if piece == 0:
-        start_worlds(decision, blocks, 0, num_worlds)
+        start_worlds(decision, blocks, first, last)
     elif flight.near_ground and drones.alive.size >= FEWEST:
-        pack_surface(blocks, decision.air, 0)
-    fly_worlds(decision, contact, blocks, cables, 0, num_worlds, piece)
-    _choose_flying(drones, contact, flight.flying)
+        pack_surface(blocks, decision.air, first * num_drones)
+    fly_worlds(decision, contact, blocks, cables, first, last, piece)
+    _choose_flying(drones, contact, flight.flying, first, last)
     swarm, start, wrenches = drones.swarm, contact.start, flight.wrenches
-    for w in range(num_worlds):
+    for w in range(first, last):
         for i in range(num_drones):
             flight.flying[w, i] = flight.flying[w, i] and not contact.asleep[w, i]
             if flight.flying[w, i]:
@@ -124,33 +135,36 @@ def fly_ahead(decision: Decision, contact: ContactState, flight: BulletFlight, p
 def advance_bullet(
     decision: Decision, contact: ContactState, flight: BulletFlight, port: EnginePort
 ) -> None:
-    """Fly all substeps of one decision in one call, through the C extension.
+    """Fly all substeps of one decision of a group of worlds in one call, through the C extension.
 
     Args:
         decision: Inputs of the decision; the surface of its air is written.
         contact: State of the contact solver.
         flight: Work arrays.
-        port: Session of the extension, and the arrays of the worlds.
+        port: Session of the extension for the group, and the arrays of all worlds.
     """
     decision, contact, flight = in_memory(decision), in_memory(contact), in_memory(flight)
     drones, step = decision.drones, decision.step
+    first, last = port.first, port.last
     for piece in range(step.substeps):
         if flight.near_ground:
-            place_obstacles(contact, piece, step)
-            _choose_flying(drones, contact, flight.flying)
+            place_obstacles(contact, first, last, piece, step)
+            _choose_flying(drones, contact, flight.flying, first, last)
             surface_below(port, drones.swarm.position, flight.flying, decision.air.surface)
-        fly_ahead(decision, contact, flight, piece)
+        fly_ahead(decision, contact, flight, first, last, piece)
         substep(port, flight.wrenches, flight.flying, drones.swarm)
         # Bullet continues from the states that contacts changed
-        if step_and_hold(decision, contact, flight.cables, piece):
+        if step_and_hold(decision, contact, flight.cables, first, last, piece):
             write_states(port, drones.swarm, contact.changed)
 
 
 @kernel
-def step_and_hold(decision: Decision, contact: ContactState, cables: Cables, piece: int) -> bool:
-    """Resolve the contacts of all worlds and cables; returns whether any state was changed."""
+def step_and_hold(
+    decision: Decision, contact: ContactState, cables: Cables, first: int, last: int, piece: int
+) -> bool:
+    """Resolve the contacts and cables of some worlds; returns whether any state was changed."""
     any_hit = False
-    for w in range(decision.drones.alive.shape[0]):
+    for w in range(first, last):
         hit = step_contacts(contact, decision.drones, w, piece, decision.step)
         any_hit = any_hit or hit
         if hit and cables.num_groups[w] > 0:
@@ -201,22 +215,25 @@ class BulletDynamics(RigidBody):
         drones, engine = decision.drones, self.flight.engine
         # C reads the arrays without strides
         assert all(array.flags.c_contiguous for array in (*drones.swarm, drones.alive))
+        contacts = self.flight.contacts
+        # Calls by pybullet fly all worlds in turn
+        ports = [] if contacts == "bullet" else engine.ports
+        largest = max((port.last - port.first for port in ports), default=drones.alive.shape[0])
         flight = BulletFlight(
-            blocks=Blocks.of(drones, decision.cascade, drones.alive.size),
+            blocks=Blocks.of(drones, decision.cascade, largest * drones.alive.shape[1]),
             cables=self.cables,
             velocity=engine.velocity,
             omega=engine.omega,
             wrenches=Wrenches(*np.zeros((2, *drones.alive.shape, 3))),
             flying=np.zeros(drones.alive.shape, dtype=bool),
-            is_mean=self.flight.contacts != "bullet",
+            is_mean=contacts != "bullet",
             near_ground=self._near_ground,
         )
-        port = engine.port
-        if self.flight.contacts == "bullet":
+        if contacts == "bullet":
             program.callback(lambda: self._fly_in_engine(decision, flight))
-        elif port is None:
+        elif not ports:
             program.callback(lambda: self._fly_by_calls(decision, flight))
-        else:
+        for port in ports:
             program.call(advance_bullet, decision, self.contact, flight, port)
 
     def touched(self) -> Contacts:
@@ -229,12 +246,13 @@ class BulletDynamics(RigidBody):
     def _fly_by_calls(self, decision: Decision, flight: BulletFlight) -> None:
         """Fly all substeps through the engine's own calls."""
         engine, contact, swarm = self.flight.engine, self.contact, decision.drones.swarm
+        num_worlds = len(decision.drones.alive)
         for piece in range(decision.step.substeps):
-            place_obstacles(contact, piece, decision.step)
+            place_obstacles(contact, 0, num_worlds, piece, decision.step)
             self._advance_once(decision, flight, piece)
             engine.read_poses(swarm, flight.flying)
             # States that contacts changed go back to the engine
-            if step_and_hold(decision, contact, flight.cables, piece):
+            if step_and_hold(decision, contact, flight.cables, 0, num_worlds, piece):
                 engine.write_states(swarm, contact.changed)
 
     def _advance_once(self, decision: Decision, flight: BulletFlight, piece: int) -> None:
@@ -244,7 +262,7 @@ class BulletDynamics(RigidBody):
         if flight.near_ground:
             flying = drones.alive & ~self.contact.stopped
             decision.air.surface[:] = engine.surface_below(drones.swarm.position, flying)
-        fly_ahead(decision, self.contact, flight, piece)
+        fly_ahead(decision, self.contact, flight, 0, len(drones.alive), piece)
         engine.apply_wrenches(*flight.wrenches, flight.flying)
         engine.step()
 
@@ -263,7 +281,7 @@ class BulletDynamics(RigidBody):
                 share = (piece + 1) / step.substeps
                 engine.set_obstacles(before + share * (after - before), turns, worlds)
             if has_bodies or turning:
-                place_obstacles(self.contact, piece + 1, step)
+                place_obstacles(self.contact, 0, len(alive), piece + 1, step)
                 engine.show_obstacles()
             self._advance_once(decision, flight, piece)
             engine.read_states(swarm, flight.flying)

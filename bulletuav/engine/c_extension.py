@@ -100,10 +100,14 @@ NO_SESSION = 0
 
 
 class EnginePort(NamedTuple):
-    """Arrays and C functions with which compiled code runs substeps without Python.
+    """Arrays and C functions with which compiled code flies a group of worlds without Python.
+
+    Arrays are those of all worlds; functions process those of the group only.
 
     Attributes:
         session: Address of the extension's session.
+        first: First world of the group.
+        last: World after the last one of the group.
         substep: The extension's function `batch_substep`.
         write: The extension's function `batch_write`.
         rays: The extension's function `batch_rays`.
@@ -118,6 +122,8 @@ class EnginePort(NamedTuple):
     """
 
     session: int
+    first: int
+    last: int
     substep: Callable[..., None]
     write: Callable[..., None]
     rays: Callable[..., None]
@@ -143,7 +149,7 @@ def surface_below(
         mask: (W, N) bool, drones to find the surface for.
         surface: (W, N) heights z, m; written; -inf outside `mask`.
     """
-    covered = cover(position, mask, port.scenery, surface)
+    covered = cover(position, mask, port.scenery, surface, port.first, port.last)
     if covered == 0:
         return
     _cast_down(port, position, surface, covered)
@@ -153,19 +159,19 @@ def surface_below(
 @allocating
 def _cast_down(port: EnginePort, position: np.ndarray, surface: np.ndarray, covered: int) -> None:
     """Write the height of the surface below the drones for which `cover` wrote NaN."""
-    drone, start, end = vertical_rays(position, surface, covered)
+    drone, start, end = vertical_rays(position, surface, covered, port.first, port.last)
     if port.compiled:
         fraction = cast_scenery_rays(port.scenery, start, end, drone[:, 0])
     else:
         fraction = np.empty(covered)
-        first = np.empty((covered, 3))
-        last = np.empty((covered, 3))
+        begin = np.empty((covered, 3))
+        finish = np.empty((covered, 3))
         for m in range(covered):
             for axis in range(3):
                 origin = port.offset[drone[m, 0], 0, axis]
-                first[m, axis] = start[m, axis] + origin
-                last[m, axis] = end[m, axis] + origin
-        port.rays(port.session, covered, first.ctypes, last.ctypes, VISIBLE, fraction.ctypes)
+                begin[m, axis] = start[m, axis] + origin
+                finish[m, axis] = end[m, axis] + origin
+        port.rays(port.session, covered, begin.ctypes, finish.ctypes, VISIBLE, fraction.ctypes)
     write_surface(surface, drone, start, fraction)
 
 
@@ -179,19 +185,20 @@ def substep(port: EnginePort, wrenches: Wrenches, mask: np.ndarray, swarm: Swarm
         mask: (W, N) bool, drones that fly.
         swarm: State of all drones; positions and attitudes are written.
     """
+    first, last = port.first, port.last
     # C reads and writes the arrays in place
     port.substep(
         port.session,
-        mask.ctypes,
-        wrenches.force.ctypes,
-        wrenches.torque.ctypes,
-        port.place.ctypes,
-        swarm.quaternion.ctypes,
-        port.velocity.ctypes,
-        port.omega.ctypes,
+        mask[first:last].ctypes,
+        wrenches.force[first:last].ctypes,
+        wrenches.torque[first:last].ctypes,
+        port.place[first:last].ctypes,
+        swarm.quaternion[first:last].ctypes,
+        port.velocity[first:last].ctypes,
+        port.omega[first:last].ctypes,
     )
     # Convert to the frame of each world
-    localise(port.place, port.offset, mask, swarm)
+    localise(port.place, port.offset, mask, swarm, first, last)
 
 
 @kernel
@@ -203,15 +210,16 @@ def write_states(port: EnginePort, swarm: Swarm, mask: np.ndarray) -> None:
         swarm: The states.
         mask: (W, N) bool, drones to set.
     """
+    first, last = port.first, port.last
     # Convert to Bullet's frame
-    globalise(port.place, port.offset, port.velocity, port.omega, mask, swarm)
+    globalise(port.place, port.offset, port.velocity, port.omega, mask, swarm, first, last)
     port.write(
         port.session,
-        mask.ctypes,
-        port.place.ctypes,
-        swarm.quaternion.ctypes,
-        port.velocity.ctypes,
-        port.omega.ctypes,
+        mask[first:last].ctypes,
+        port.place[first:last].ctypes,
+        swarm.quaternion[first:last].ctypes,
+        port.velocity[first:last].ctypes,
+        port.omega[first:last].ctypes,
     )
 
 
@@ -219,7 +227,7 @@ def write_states(port: EnginePort, swarm: Swarm, mask: np.ndarray) -> None:
 def bring_out(port: EnginePort, swarm: Swarm, mask: np.ndarray, out: np.ndarray) -> None:
     """Set the states of the drones of `mask` (W, N) in Bullet, and mark them as not parked."""
     write_states(port, swarm, mask)
-    for w in range(mask.shape[0]):
+    for w in range(port.first, port.last):
         for i in range(mask.shape[1]):
             out[w, i] = out[w, i] or mask[w, i]
 

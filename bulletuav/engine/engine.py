@@ -1,4 +1,4 @@
-"""The engine: W worlds of N drones as tiles of one Bullet client, with array arguments.
+"""The engine: W worlds of N drones as tiles of Bullet clients, with array arguments.
 
 Only modules of `bulletuav.engine` call pybullet. The rest of the package relies on three
 properties, which tests check: bodies have neither Bullet's default damping nor its velocity limit;
@@ -24,10 +24,10 @@ from bulletuav.engine.c_extension import (
     bring_out,
     load_extension,
 )
-from bulletuav.engine.calls import DRONE_GROUP, SOLID, EngineCalls, bullet
+from bulletuav.engine.calls import DRONE_GROUP, SOLID, bullet
 from bulletuav.engine.client import disconnect
 from bulletuav.engine.drones import require_loadable
-from bulletuav.engine.in_bullet import InBullet, make_in_bullet
+from bulletuav.engine.in_bullet import InBullet, make_in_bullet, split_worlds
 from bulletuav.engine.parking import PARKING_HEIGHT, parking_places
 from bulletuav.engine.queries import EngineQueries
 from bulletuav.engine.tiles import globalise, localise, localise_velocities, tile_offset
@@ -53,7 +53,7 @@ class Engine(EngineQueries):
     """W tiles of N drones and K obstacles over one ground plane at z = 0.
 
     Poses are in each world's own frame, east, north and up from the centre of its tile. The Bullet
-    client is opened, and the bodies are created, at their first use; flights and sensors of
+    clients are opened, and the bodies are created, at their first use; flights and sensors of
     compiled code never use them.
 
     Attributes:
@@ -138,30 +138,49 @@ class Engine(EngineQueries):
 
     def make_bodies(self) -> None:
         """Create all bodies now instead of at their first use."""
-        self._bullet  # noqa: B018
+        self._groups  # noqa: B018
 
     @cached_property
-    def _bullet(self) -> InBullet:
-        """Open a Bullet client and create all bodies, with the drones parked."""
+    def _groups(self) -> list[InBullet]:
+        """Open the Bullet clients and create all bodies, with the drones parked."""
         if self.closed:
             raise RuntimeError("the engine is closed")
         how = (self.dt, self._live, self.asks_bodies)
-        made = make_in_bullet(self._contents, *how, self._open, self._extension)
-        self._rest(made.calls, np.ones(self.shape, dtype=bool))
-        # Apply the calls that came before
-        for world, masses in self._masses.items():
-            made.set_masses(world, *masses)
-        if self._has_placed_obstacles:
-            self._move_obstacles(made, np.ones(self.shape[0], dtype=bool))
-        for added in self._added_pieces:
-            made.bodies.add(added)
-        self._move_bodies(made)
-        return made
+        # One window shows all worlds; Bullet's contacts and rays are for comparison, and the meshes
+        # of cities are created for each client
+        parts = [slice(0, self.shape[0])] if self.asks_bodies else split_worlds(*self.shape)
+        groups = [
+            make_in_bullet(worlds, self._contents, *how, self._open, self._extension)
+            for worlds in parts
+        ]
+        everyone = np.ones(self.shape, dtype=bool)
+        for group in groups:
+            self._rest(group, everyone)
+            # Apply the calls that came before
+            for world, masses in self._masses.items():
+                if group.has(world):
+                    group.set_masses(world, *masses)
+            if self._has_placed_obstacles:
+                self._move_obstacles(group, everyone[:, 0])
+            for added in self._added_pieces:
+                group.add(added)
+            self._move_bodies(group)
+        return groups
+
+    @property
+    def _bullet(self) -> InBullet:
+        """The only group of worlds in Bullet of an engine that `asks_bodies`."""
+        return self._groups[0]
+
+    def _group_of(self, world: int) -> InBullet:
+        """Return the group of a world in Bullet."""
+        size: int = self._groups[0].worlds.stop
+        return self._groups[world // size]
 
     @property
     def _is_made(self) -> bool:
         """Whether the bodies in Bullet are created."""
-        return "_bullet" in self.__dict__
+        return "_groups" in self.__dict__
 
     @property
     def contents(self) -> Contents:
@@ -185,24 +204,29 @@ class Engine(EngineQueries):
         )
 
     @property
-    def port(self) -> EnginePort | None:
-        """Arrays and C functions for substeps in compiled code; None without the C extension."""
-        calls = self._bullet.calls
-        if not isinstance(calls, CExtension):
-            return None
-        return self._port(calls.session, calls.library)
+    def ports(self) -> list[EnginePort]:
+        """Port of each group of worlds, for flight in compiled code; none without the extension."""
+        return [
+            self._port(group.calls.session, group.calls.library, group.worlds)
+            for group in self._groups
+            if isinstance(group.calls, CExtension)
+        ]
 
     @property
     def surface_port(self) -> EnginePort | None:
-        """Like `port`, for `surface_below` only: compiled rays do not need Bullet."""
+        """Port of all worlds for `surface_below` only: compiled rays do not need Bullet."""
         if self._extension.library is None:
             return None
-        return self._port(NO_SESSION, self._extension.library) if self._compiled else self.port
+        if not self._compiled:
+            return next(iter(self.ports), None)
+        return self._port(NO_SESSION, self._extension.library, slice(0, self.shape[0]))
 
-    def _port(self, session: int, library: PyDLL) -> EnginePort:
+    def _port(self, session: int, library: PyDLL, worlds: slice) -> EnginePort:
         """Build the port of a session."""
         return EnginePort(
             session=session,
+            first=worlds.start,
+            last=worlds.stop,
             substep=library.batch_substep,
             write=library.batch_write,
             rays=library.batch_rays,
@@ -226,8 +250,9 @@ class Engine(EngineQueries):
         before = self.city_grid.layout.copy()
         self.city_grid.layout[worlds] = layout[worlds]
         if self._is_made:
-            self._bullet.bodies.warn_of_strangers()
-            self._bullet.bodies.layouts.follow(before, self._bullet.calls)
+            for group in self._groups:
+                group.bodies.warn_of_strangers()
+                group.bodies.layouts.follow(before[group.worlds], group.calls)
         if self._live:
             self._bullet.renderer.show_city(0)
 
@@ -257,7 +282,8 @@ class Engine(EngineQueries):
             self.note_obstacles(position, quaternion, worlds)
             self._has_placed_obstacles = True
             if self._is_made:
-                self._move_obstacles(self._bullet, worlds)
+                for group in self._groups:
+                    self._move_obstacles(group, worlds)
 
     @property
     def asks_bodies(self) -> bool:
@@ -266,29 +292,33 @@ class Engine(EngineQueries):
 
     def show_obstacles(self) -> None:
         """Move the bodies of obstacles and of added bodies to the poses in the scenery."""
-        if self.obstacle_radius.size:
-            self._move_obstacles(self._bullet, np.ones(self.shape[0], dtype=bool))
-        self._move_bodies(self._bullet)
+        for group in self._groups:
+            if self.obstacle_radius.size:
+                self._move_obstacles(group, np.ones(self.shape[0], dtype=bool))
+            self._move_bodies(group)
 
-    def _move_obstacles(self, made: InBullet, worlds: np.ndarray) -> None:
+    def _move_obstacles(self, group: InBullet, worlds: np.ndarray) -> None:
         """Move the obstacles' bodies in the worlds of `worlds` (W,) to the poses in the scenery."""
         count = self.obstacle_radius.size
-        place = (self._scenery.place[:, :count] + self._offset)[worlds].reshape(-1, 3)
-        turn = self._scenery.quaternion[:, :count][worlds].reshape(-1, 4)
-        made.calls.pose(made.bodies.obstacle[worlds].ravel(), place, turn)
+        moved = np.flatnonzero(worlds[group.worlds])
+        indices = moved + group.worlds.start
+        place = (self._scenery.place[indices, :count] + self._offset[indices]).reshape(-1, 3)
+        turn = self._scenery.quaternion[indices, :count].reshape(-1, 4)
+        group.calls.pose(group.bodies.obstacle[moved].ravel(), place, turn)
 
-    def _move_bodies(self, made: InBullet) -> None:
+    def _move_bodies(self, group: InBullet) -> None:
         """Move added bodies that can move to the poses in the scenery."""
         first = self.obstacle_radius.size
         for p, (added, numbers) in enumerate(
-            zip(self._added_pieces, made.bodies.added, strict=True)
+            zip(self._added_pieces, group.bodies.added, strict=True)
         ):
             if not added.is_static:
-                place = self._scenery.place[added.worlds, first + p].copy()
+                worlds = added.worlds[group.has(added.worlds)]
+                place = self._scenery.place[worlds, first + p].copy()
                 gone = place[:, 2] == NOWHERE
                 place[gone] = (SPREAD * (p % IN_ROW), SPREAD * (p // IN_ROW), -2 * PARKING_HEIGHT)
-                turn = self._scenery.quaternion[added.worlds, first + p]
-                made.calls.pose(numbers, place + self._offset[added.worlds, 0], turn)
+                turn = self._scenery.quaternion[worlds, first + p]
+                group.calls.pose(numbers, place + self._offset[worlds, 0], turn)
 
     def place_bodies(self, worlds: Sequence[int]) -> None:
         """Move the pieces of added bodies of worlds to the poses in `scenery.bodies`."""
@@ -296,7 +326,8 @@ class Engine(EngineQueries):
             for b in range(len(self._scenery.bodies.reach)):
                 place_body(self._scenery, w, b)
         if self._is_made:
-            self._move_bodies(self._bullet)
+            for group in self._groups:
+                self._move_bodies(group)
 
     def add_body(
         self,
@@ -346,7 +377,8 @@ class Engine(EngineQueries):
             )
             added = AddedPiece(piece.shape, like.colour, poses, other, worlds, is_static)
             if self._is_made:
-                self._bullet.bodies.add(added)
+                for group in self._groups:
+                    group.add(added)
             self._added_pieces.append(added)
         self._scenery = scenery
         self._num_added += 1
@@ -368,7 +400,7 @@ class Engine(EngineQueries):
             inertia: (N, 3) principal moments of inertia, kg m^2.
         """
         if self._is_made:
-            self._bullet.set_masses(world, mass, inertia)
+            self._group_of(world).set_masses(world, mass, inertia)
         else:
             self._masses[world] = mass.copy(), inertia.copy()
 
@@ -385,10 +417,11 @@ class Engine(EngineQueries):
 
     def add_states(self, program: Program, swarm: Swarm, mask: np.ndarray) -> None:
         """Add a call equivalent to `set_states` to a program."""
-        port = self.port
-        if port is None or self._contacts:
+        ports = self.ports
+        if not ports or self._contacts:
             program.callback(lambda: self.set_states(swarm, mask))
-        else:
+            return
+        for port in ports:
             program.call(bring_out, port, swarm, mask, self._out)
 
     def write_states(self, swarm: Swarm, mask: np.ndarray) -> None:
@@ -399,7 +432,8 @@ class Engine(EngineQueries):
             mask: (W, N) bool, drones to set.
         """
         self._out |= mask
-        globalise(self._place, self._offset, self.velocity, self.omega, mask, swarm)
+        moves = (self._place, self._offset, self.velocity, self.omega)
+        globalise(*moves, mask, swarm, 0, self.shape[0])
         self._write(swarm, mask)
 
     def restore_states(self, swarm: Swarm, mask: np.ndarray) -> None:
@@ -415,7 +449,9 @@ class Engine(EngineQueries):
 
     def _write(self, swarm: Swarm, mask: np.ndarray) -> None:
         """Set poses and velocities of drones in Bullet."""
-        self._bullet.calls.write(mask, self._place, swarm.quaternion, self.velocity, self.omega)
+        states = (mask, self._place, swarm.quaternion, self.velocity, self.omega)
+        for group in self._groups:
+            group.calls.write(*(array[group.worlds] for array in states))
 
     def set_poses(self, swarm: Swarm, mask: np.ndarray) -> None:
         """Set poses of drones' bodies for rendering; velocities and contacts do not change.
@@ -425,8 +461,11 @@ class Engine(EngineQueries):
             mask: (W, N) bool, drones to move.
         """
         self._out |= mask
-        place = (swarm.position + self._offset)[mask]
-        self._bullet.calls.pose(self._bullet.bodies.drone[mask], place, swarm.quaternion[mask])
+        place = swarm.position + self._offset
+        for group in self._groups:
+            moved = mask[group.worlds]
+            poses = (place[group.worlds][moved], swarm.quaternion[group.worlds][moved])
+            group.calls.pose(group.bodies.drone[moved], *poses)
 
     def park(self, mask: np.ndarray) -> None:
         """Park drones outside the airspace, where they neither touch anything nor are visible.
@@ -442,21 +481,24 @@ class Engine(EngineQueries):
             if self._contacts:
                 self._filter(mask, 0)
             self._place[mask] = self._contents.parking[mask]
-            self._rest(self._bullet.calls, mask)
+            for group in self._groups:
+                self._rest(group, mask)
 
-    def _rest(self, calls: EngineCalls | CExtension, mask: np.ndarray) -> None:
+    def _rest(self, group: InBullet, mask: np.ndarray) -> None:
         """Set the bodies of drones of `mask` (W, N) to rest at their parking positions."""
-        still = np.zeros((*self.shape, 3))
-        upright = np.tile([0.0, 0.0, 0.0, 1.0], (*self.shape, 1))
-        calls.write(mask, self._contents.parking, upright, still, still)
+        parking = self._contents.parking[group.worlds]
+        still = np.zeros(parking.shape)
+        upright = np.tile([0.0, 0.0, 0.0, 1.0], (*parking.shape[:2], 1))
+        group.calls.write(mask[group.worlds], parking, upright, still, still)
 
     def _filter(self, mask: np.ndarray, meets: int) -> None:
         """Set the collision groups that drones collide with.
 
         This clears the bodies' cached contacts, so that no contacts of the last episode remain.
         """
-        bodies = self._bullet.bodies.drone[mask]
-        self._bullet.calls.filter(bodies, DRONE_GROUP if meets else 0, meets)
+        for group in self._groups:
+            bodies = group.bodies.drone[mask[group.worlds]]
+            group.calls.filter(bodies, DRONE_GROUP if meets else 0, meets)
 
     def read_poses(self, swarm: Swarm, mask: np.ndarray) -> None:
         """Read poses of drones from Bullet into a swarm, and velocities into the engine's arrays.
@@ -465,8 +507,10 @@ class Engine(EngineQueries):
             swarm: State of all drones; positions and attitudes are written.
             mask: (W, N) bool, drones to read.
         """
-        self._bullet.calls.read(mask, self._place, swarm.quaternion, self.velocity, self.omega)
-        localise(self._place, self._offset, mask, swarm)
+        states = (mask, self._place, swarm.quaternion, self.velocity, self.omega)
+        for group in self._groups:
+            group.calls.read(*(array[group.worlds] for array in states))
+        localise(self._place, self._offset, mask, swarm, 0, self.shape[0])
 
     def read_states(self, swarm: Swarm, mask: np.ndarray) -> None:
         """Read poses and velocities of drones from Bullet into a swarm; rotor speeds stay."""
@@ -481,16 +525,19 @@ class Engine(EngineQueries):
             torque: (W, N, 3) torques, body axes, N m.
             mask: (W, N) bool, drones to apply them to.
         """
-        self._bullet.calls.apply(mask, self._place, force, torque)
+        wrenches = (mask, self._place, force, torque)
+        for group in self._groups:
+            group.calls.apply(*(array[group.worlds] for array in wrenches))
 
     def step(self) -> None:
         """Advance the simulation by one substep."""
-        self._bullet.calls.step()
+        for group in self._groups:
+            group.calls.step()
 
     def close(self) -> None:
-        """Close Bullet's client; a second call does nothing."""
+        """Close Bullet's clients; a second call does nothing."""
         if self._is_made:
             # Later calls through pybullet raise errors instead of accessing freed memory.
-            self._bullet = self._bullet.without_extension()
+            self._groups = [group.without_extension() for group in self._groups]
         self.closed = True
         self._finalizer()

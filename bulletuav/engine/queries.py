@@ -119,7 +119,11 @@ class EngineQueries(ABC):
     @property
     @abstractmethod
     def _bullet(self) -> InBullet:
-        """Client, bodies, calls and renderer of the worlds in Bullet."""
+        """The only group of worlds in Bullet of an engine that `asks_bodies`."""
+
+    @abstractmethod
+    def _group_of(self, world: int) -> InBullet:
+        """Return the group of a world in Bullet."""
 
     @property
     @abstractmethod
@@ -277,9 +281,10 @@ class EngineQueries(ABC):
         """
         # Most drones have only the ground below, which needs no ray.
         surface = np.empty(self.shape)
-        count = cover(position, mask, self._scenery, surface)
+        worlds = (0, self.shape[0])
+        count = cover(position, mask, self._scenery, surface, *worlds)
         if count:
-            drone, start, end = vertical_rays(position, surface, count)
+            drone, start, end = vertical_rays(position, surface, count, *worlds)
             fraction = self._cast_scenery_rays(start, end, drone[:, 0])
             write_surface(surface, drone, start, fraction)
         return surface
@@ -305,7 +310,7 @@ class EngineQueries(ABC):
                 point[DISTANCE]
                 for a, b in itertools.product(of_one, of_two)
                 for point in bullet.getClosestPoints(
-                    a, b, within, physicsClientId=self._bullet.client
+                    a, b, within, physicsClientId=self._group_of(world).client
                 )
             ),
             default=np.inf,
@@ -315,11 +320,12 @@ class EngineQueries(ABC):
         self, world: int, owner: int, position: np.ndarray | None, quaternion: np.ndarray | None
     ) -> list[int]:
         """Return the bodies of an owner in a world, moved to the pose if they can move."""
-        bodies = self._bullet.bodies.bodies_of(world, owner)
+        group = self._group_of(world)
+        bodies = group.bodies.bodies_of(world - group.worlds.start, owner)
         if position is not None and owner not in (GROUND, CITY):
             place = position + self._offset[world, 0]
             for body in bodies:
-                bullet.resetBasePositionAndOrientation(body, place, quaternion, self._bullet.client)
+                bullet.resetBasePositionAndOrientation(body, place, quaternion, group.client)
         return bodies
 
     def picture(
@@ -354,7 +360,8 @@ class EngineQueries(ABC):
 
     def picture_by_bullet(self, world: int, shot: CameraMatrices) -> Picture:
         """Render a picture of a world by TinyRenderer, with the drones at their poses in Bullet."""
-        return self._bullet.renderer.picture(world, *shot)
+        group = self._group_of(world)
+        return group.renderer.picture(world - group.worlds.start, *shot)
 
     def look_at(self, world: int, target: np.ndarray, distance: float) -> None:
         """Point the camera of the live window at a position.

@@ -1,7 +1,7 @@
 """Tiles of worlds: conversion to and from Bullet's frame, and surfaces below drones.
 
-All worlds share one Bullet client. Each world has its own square tile of the ground, and its own
-frame with the origin at the centre of the tile.
+Each world has its own square tile of the ground, and its own frame with the origin at the centre of
+the tile. Functions with `first` and `last` process the worlds from `first` to before `last`.
 """
 
 import math
@@ -37,7 +37,14 @@ def tile_offset(world: int) -> np.ndarray:
 
 
 @kernel
-def localise(place: np.ndarray, offset: np.ndarray, mask: np.ndarray, swarm: Swarm) -> None:
+def localise(
+    place: np.ndarray,
+    offset: np.ndarray,
+    mask: np.ndarray,
+    swarm: Swarm,
+    first: int,
+    last: int,
+) -> None:
     """Convert positions from Bullet's frame, and write them into a swarm.
 
     Args:
@@ -45,8 +52,10 @@ def localise(place: np.ndarray, offset: np.ndarray, mask: np.ndarray, swarm: Swa
         offset: (W, 1, 3) origins of the tiles, m.
         mask: (W, N) bool, drones to write.
         swarm: The swarm.
+        first: The first world.
+        last: The world after the last one.
     """
-    for w in range(mask.shape[0]):
+    for w in range(first, last):
         for i in range(mask.shape[1]):
             if mask[w, i]:
                 for k in range(3):
@@ -82,6 +91,8 @@ def globalise(
     omega: np.ndarray,
     mask: np.ndarray,
     swarm: Swarm,
+    first: int,
+    last: int,
 ) -> None:
     """Convert positions and velocities of a swarm to Bullet's frame.
 
@@ -92,8 +103,10 @@ def globalise(
         omega: (W, N, 3) angular velocities, world axes, rad/s; written.
         mask: (W, N) bool, drones to write.
         swarm: The states.
+        first: The first world.
+        last: The world after the last one.
     """
-    for w in range(mask.shape[0]):
+    for w in range(first, last):
         for i in range(mask.shape[1]):
             if mask[w, i]:
                 # Back to world axes, and to the world's tile
@@ -124,7 +137,14 @@ def _is_covered(here: Vec3Like, scenery: Scenery, w: int) -> bool:
 
 
 @kernel
-def cover(position: np.ndarray, mask: np.ndarray, scenery: Scenery, surface: np.ndarray) -> int:
+def cover(
+    position: np.ndarray,
+    mask: np.ndarray,
+    scenery: Scenery,
+    surface: np.ndarray,
+    first: int,
+    last: int,
+) -> int:
     """Find the drones whose surface height requires a ray.
 
     Those are drones with a body or a building above or below. Below other drones is the ground.
@@ -135,12 +155,14 @@ def cover(position: np.ndarray, mask: np.ndarray, scenery: Scenery, surface: np.
         scenery: Bodies and buildings of each world.
         surface: (W, N) heights, m; written: NaN for drones that need a ray, 0 for the other drones
             of `mask`, -inf for drones outside `mask`.
+        first: The first world.
+        last: The world after the last one.
 
     Returns:
         Number of drones that need a ray.
     """
     count = 0
-    for w in range(mask.shape[0]):
+    for w in range(first, last):
         for i in range(mask.shape[1]):
             # The ground is flat, so it needs no ray
             surface[w, i] = 0.0 if mask[w, i] else -np.inf
@@ -152,7 +174,7 @@ def cover(position: np.ndarray, mask: np.ndarray, scenery: Scenery, surface: np.
 
 @allocating
 def vertical_rays(
-    position: np.ndarray, surface: np.ndarray, count: int
+    position: np.ndarray, surface: np.ndarray, count: int, first: int, last: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the downward rays of the drones that `cover` marked by NaN.
 
@@ -160,6 +182,8 @@ def vertical_rays(
         position: (W, N, 3) positions of the drones, m.
         surface: (W, N) heights, as written by `cover`, m.
         count: Number of marked drones M.
+        first: The first world.
+        last: The world after the last one.
 
     Returns:
         World and drone (M, 2) of each ray; starts and ends (M, 3) of the rays, m.
@@ -167,7 +191,7 @@ def vertical_rays(
     drone = np.empty((count, 2), np.int64)
     start, end = np.empty((count, 3)), np.empty((count, 3))
     m = 0
-    for w in range(surface.shape[0]):
+    for w in range(first, last):
         for i in range(surface.shape[1]):
             if np.isnan(surface[w, i]):
                 drone[m, 0], drone[m, 1] = w, i

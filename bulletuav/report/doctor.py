@@ -90,7 +90,7 @@ def _extension() -> Finding:
     if not HAS_BULLET:
         return Finding("C extension", "installed, not used without pybullet")
     engine = Engine([load_airframe("cf2x")], 1, 1 / 240)
-    active = engine.port is not None
+    active = bool(engine.ports)
     engine.close()
     if not active:
         return Finding(

@@ -32,11 +32,11 @@ def pair(make_bench, monkeypatch):
 
     def make(*arguments, **options):
         fast = make_bench(*arguments, **options)
-        assert fast.engine.port is not None, engine_module.EXTENSION.missing
+        assert fast.engine.ports, engine_module.EXTENSION.missing
         with monkeypatch.context() as patch:
             patch.setattr(engine_module, "EXTENSION", Extension(None, "", "for comparison"))
             plain = make_bench(*arguments, **options)
-        assert plain.engine.port is None
+        assert not plain.engine.ports
         return fast, plain
 
     return make
@@ -176,7 +176,7 @@ def test_after_close_calls_are_the_engines_errors(make_bench):
     one.engine.close()
     with pytest.raises(bullet.error):
         one.engine.step()
-    assert one.engine.port is None
+    assert not one.engine.ports
 
 
 def test_the_switch_turns_it_off(monkeypatch):
@@ -215,7 +215,7 @@ def test_a_refused_plugin_warns_and_flies_on(monkeypatch, path):
     monkeypatch.setattr(engine_module, "EXTENSION", engine_module.EXTENSION._replace(path=path))
     with pytest.warns(UserWarning, match="could not load the plugin.*bulletuav doctor"):
         one = bench.Bench("bullet")
-    assert one.engine.port is None
+    assert not one.engine.ports
     one.place().spin(0.0)
     one.engine.close()
 
