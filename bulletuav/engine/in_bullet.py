@@ -17,10 +17,11 @@ from bulletuav.engine.client import configure, open_client
 from bulletuav.engine.rendering import SceneRenderer
 from bulletuav.engine.silence import silenced
 
-GROUP_DRONES = 128
-"""Number of drones from which on worlds are a group: about 1 MB, the second cache of a core"""
+GROUP_DRONES = 160
+"""Minimum number of drones in a group, about: fewer fit better into the second cache of a core, of
+about 1 MB, but each client takes 28 MB of memory, as much as 250 drones, and 30 ms to open"""
 MAX_GROUPS = 16
-"""Maximum number of groups: each client takes 28 MB of memory, and 30 ms to open"""
+"""Maximum number of groups, for a bound of this memory"""
 
 
 class InBullet(NamedTuple):
