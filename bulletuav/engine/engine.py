@@ -206,11 +206,13 @@ class Engine(EngineQueries):
     @property
     def ports(self) -> list[EnginePort]:
         """Port of each group of worlds, for flight in compiled code; none without the extension."""
-        return [
+        ports = [
             self._port(group.calls.session, group.calls.library, group.worlds)
             for group in self._groups
             if isinstance(group.calls, CExtension)
         ]
+        # Flights use either the extension or the calls of pybullet in all worlds
+        return ports if len(ports) == len(self._groups) else []
 
     @property
     def surface_port(self) -> EnginePort | None:
