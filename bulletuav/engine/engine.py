@@ -27,7 +27,7 @@ from bulletuav.engine.c_extension import (
 from bulletuav.engine.calls import DRONE_GROUP, SOLID, bullet
 from bulletuav.engine.client import disconnect
 from bulletuav.engine.drones import require_loadable
-from bulletuav.engine.in_bullet import InBullet, make_in_bullet, split_worlds
+from bulletuav.engine.in_bullet import InBullet, make_in_bullet, group_worlds
 from bulletuav.engine.parking import PARKING_HEIGHT, parking_places
 from bulletuav.engine.queries import EngineQueries
 from bulletuav.engine.tiles import globalise, localise, localise_velocities, tile_offset
@@ -148,7 +148,7 @@ class Engine(EngineQueries):
         how = (self.dt, self._live, self.asks_bodies)
         # One window shows all worlds; Bullet's contacts and rays are for comparison, and the meshes
         # of cities are created for each client
-        parts = [slice(0, self.shape[0])] if self.asks_bodies else split_worlds(*self.shape)
+        parts = [slice(0, self.shape[0])] if self.asks_bodies else group_worlds(*self.shape)
         groups = [
             make_in_bullet(worlds, self._contents, *how, self._open, self._extension)
             for worlds in parts

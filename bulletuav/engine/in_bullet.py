@@ -72,7 +72,7 @@ class InBullet(NamedTuple):
         return self._replace(calls=EngineCalls(self.client, self.bodies.drone.ravel()))
 
 
-def split_worlds(num_worlds: int, num_drones: int) -> list[slice]:
+def group_worlds(num_worlds: int, num_drones: int) -> list[slice]:
     """Split W worlds of N drones into groups of consecutive worlds.
 
     Each group but the last has the same number of worlds.

@@ -7,7 +7,7 @@ import bulletuav
 import bulletuav.engine.engine as engine_module
 import bulletuav.engine.in_bullet as in_bullet
 from bulletuav.engine.c_extension import Extension
-from bulletuav.engine.in_bullet import MAX_GROUPS, split_worlds
+from bulletuav.engine.in_bullet import MAX_GROUPS, group_worlds
 from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.geometry.view import CameraMatrices
 from bulletuav.vehicle.swarm import GROUND
@@ -30,7 +30,7 @@ pytestmark = pytest.mark.bullet
     ],
 )
 def test_groups_have_many_drones_and_their_number_is_limited(worlds, drones, sizes):
-    groups = split_worlds(worlds, drones)
+    groups = group_worlds(worlds, drones)
     assert [group.stop - group.start for group in groups] == sizes
     assert [group.start for group in groups] == np.cumsum([0, *sizes[:-1]]).tolist()
     assert groups[-1].stop == worlds
