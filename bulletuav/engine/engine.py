@@ -27,7 +27,7 @@ from bulletuav.engine.c_extension import (
 from bulletuav.engine.calls import DRONE_GROUP, SOLID, bullet
 from bulletuav.engine.client import disconnect
 from bulletuav.engine.drones import require_loadable
-from bulletuav.engine.in_bullet import InBullet, make_in_bullet, group_worlds
+from bulletuav.engine.in_bullet import InBullet, group_worlds, make_in_bullet
 from bulletuav.engine.parking import PARKING_HEIGHT, parking_places
 from bulletuav.engine.queries import EngineQueries
 from bulletuav.engine.tiles import globalise, localise, localise_velocities, tile_offset
