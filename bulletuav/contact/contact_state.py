@@ -222,22 +222,45 @@ def stays_asleep(
         row: Row of `PARAMETERS` of the drone.
         dt: Length of the substep, s.
     """
+    pressed, is_safe = press_support(contact.support[w, i], quaternion, acceleration, spinning, row)
+    return withstands(contact, w, i, acceleration, spinning, pressed, is_safe, dt)
+
+
+@func
+def press_support(
+    support: np.record, quaternion: Quat4, acceleration: Vec3, spinning: Vec3, row: np.record
+) -> tuple[float, bool]:
+    """Compute the force on the support of one sleeping drone, or of lanes; see `stays_asleep`.
+
+    Returns:
+        The results of `compute_support_force`.
+    """
+    inertia = row.inertia
+    twist = (inertia[0] * spinning[0], inertia[1] * spinning[1], inertia[2] * spinning[2])
+    return compute_support_force(support, row.mass, acceleration, to_world(quaternion, twist))
+
+
+@func
+def withstands(
+    contact: ContactState,
+    w: int,
+    i: int,
+    acceleration: Vec3,
+    spinning: Vec3,
+    pressed: float,
+    is_safe: bool,
+    dt: float,
+) -> bool:
+    """Do the same as `stays_asleep`, with the results of `press_support`."""
     load = contact.load[w, i]
     first = bool(np.isnan(load[0]))
     if first:
         for k in range(3):
             load[k] = acceleration[k]
             load[3 + k] = spinning[k]
-    support = contact.support[w, i]
-    if support.span > 0.0:
-        inertia = row.inertia
-        twist = (inertia[0] * spinning[0], inertia[1] * spinning[1], inertia[2] * spinning[2])
-        pressed, is_safe = compute_support_force(
-            support, row.mass, acceleration, to_world(quaternion, twist)
-        )
-        contact.touches.impulse[w, i, 0] += pressed * dt
-        if is_safe:
-            return True
+    contact.touches.impulse[w, i, 0] += pressed * dt
+    if is_safe:
+        return True
     if first:
         # Without a safe support, the drone must have been at rest for `TIME_TO_SLEEP`
         return bool(contact.quiet[w, i] >= TIME_TO_SLEEP)

@@ -193,7 +193,6 @@ def _solve_resting_contacts(
     space: ContactWorkspace,
     world: ContactWorld,
     pairs: np.ndarray,
-    num_pairs: int,
     num_members: int,
     points: np.ndarray,
     num_points: int,
@@ -220,7 +219,6 @@ def _solve_resting_contacts(
         space: Arrays to work on; `island` has the drones of the island.
         world: The world.
         pairs: Rows of `PAIR`.
-        num_pairs: Number of pairs in use.
         num_members: Number of drones of the island.
         points: Rows of `CONTACT_POINT`; impulses are written, speculative points added.
         num_points: Number of points in use.
@@ -241,10 +239,12 @@ def _solve_resting_contacts(
     tolerance = SINGLE_BODY_TOLERANCE if num_members == 1 else MULTI_BODY_TOLERANCE
     is_single = num_members == 1
     is_supported = False
-    for p in range(num_pairs):
-        is_single = is_single and not (pairs[p].in_impact and pairs[p].is_on_sleeper)
-        bears = pairs[p].is_on_sleeper or pairs[p].b >= motions.shape[0]
-        is_supported = is_supported or (pairs[p].in_impact and bears)
+    # All pairs of the impact have points, in the order of the pairs
+    num_touching = num_points
+    for k in range(num_touching):
+        pair = pairs[points[k].pair]
+        is_single = is_single and not pair.is_on_sleeper
+        is_supported = is_supported or pair.is_on_sleeper or pair.b >= motions.shape[0]
     for trial in range(MAX_SPECULATIVE_PASSES + 1):
         if trial == 0:
             warm_start_impulses(
@@ -283,10 +283,11 @@ def _solve_resting_contacts(
                 _use_mean_velocity(motion, time, world.dt)
         before = num_points
         if trial < MAX_SPECULATIVE_PASSES and (1.0 - time) * world.dt > MIN_SPECULATIVE_TIME:
-            for p in range(num_pairs):
-                if pairs[p].in_impact and find_speculative_point(
-                    space, world, pairs[p], time, points[num_points]
-                ):
+            for k in range(num_touching):
+                p = points[k].pair
+                if k > 0 and points[k - 1].pair == p:
+                    continue
+                if find_speculative_point(space, world, pairs[p], time, points[num_points]):
                     points[num_points].pair = p
                     num_points += 1
         if num_points == before:
@@ -394,7 +395,7 @@ def resolve_impact(
         num_points = more
     slow = _apply_restitution(space, world, num_members, points, num_points)
     num_points = _solve_resting_contacts(
-        space, world, pairs, num_pairs, num_members, points, num_points, time, slow
+        space, world, pairs, num_members, points, num_points, time, slow
     )
     for k in range(num_points):
         # Skip points that part without an impulse

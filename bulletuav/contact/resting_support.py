@@ -12,6 +12,7 @@ import numpy as np
 
 from bulletuav.compiled.functions import cos, sin
 from bulletuav.compiled.kernel import func, kernel
+from bulletuav.compiled.lanes import where
 from bulletuav.compiled.plain import record_type
 from bulletuav.contact.manifold import ContactWorkspace, ContactWorld, get_surface_coefficients
 from bulletuav.contact.motion import interpolate_pose, read_vec3, write_vec3
@@ -122,24 +123,30 @@ def compute_support_force(
     """Compute the normal force of a drone on its support, N, and whether the drone stays at rest.
 
     Args:
-        support: Row of `SUPPORT`.
+        support: Row of `SUPPORT`, of one drone or of lanes.
         mass: Mass of the drone, kg.
         acceleration: Acceleration by forces without contacts, m/s^2.
         torque: Torque without contacts, world axes, N m.
     """
     normal = read_vec3(support.normal)
     pressed = -mass * dot(acceleration, normal)
-    if support.span <= 0.0 or pressed <= 0.0:
-        return 0.0, False
     force = (mass * acceleration[0], mass * acceleration[1], mass * acceleration[2])
     along = plus(force, pressed, normal)
     about = dot(torque, normal)
     # Moment about the foot of the centre of mass: gives the centre of pressure
     tipping = plus(plus(torque, -about, normal), support.height, cross(normal, along))
-    if dot(tipping, tipping) > (SAFE_FRACTION * support.span * pressed) ** 2:
-        return pressed, False
+    max_tipping = SAFE_FRACTION * support.span * pressed
     pull = math.sqrt(dot(along, along)) + abs(about) / support.span
-    return pressed, pull <= SAFE_FRACTION * support.friction * pressed
+    # Without branches, which lanes do not have; no pull is below a negative limit
+    limit = where(
+        dot(tipping, tipping) > max_tipping * max_tipping,
+        -1.0,
+        SAFE_FRACTION * support.friction * pressed,
+    )
+    limit = where(pressed <= 0.0, -1.0, limit)
+    is_safe = pull <= where(support.span <= 0.0, -1.0, limit)
+    pressed = where(pressed <= 0.0, 0.0, pressed)
+    return where(support.span <= 0.0, 0.0, pressed), is_safe
 
 
 @func

@@ -119,14 +119,33 @@ def _update_time_of_impact(
 
 
 @func
-def _find_first_pair(pairs: np.ndarray, num_pairs: int) -> int:
-    """Return the pair with the earliest event (the first of several), or -1 if there is none."""
+def _update_pairs(
+    space: ContactWorkspace,
+    world: ContactWorld,
+    pairs: np.ndarray,
+    num_pairs: int,
+    time: float,
+    only_island: bool,
+) -> int:
+    """Update the times of impact of all pairs, or of those with drones of the present island.
+
+    Returns:
+        The pair with the earliest event (the first of several), or -1 if there is none.
+    """
+    motions = space.motions
     first = -1
-    time = NO_IMPACT
+    earliest = NO_IMPACT
     for p in range(num_pairs):
-        if pairs[p].impact_time < time:
+        pair = pairs[p]
+        if (
+            not only_island
+            or motions[pair.a].in_island
+            or (pair.b < motions.shape[0] and motions[pair.b].in_island)
+        ):
+            _update_time_of_impact(space, world, pair, time)
+        if pair.impact_time < earliest:
             first = p
-            time = pairs[p].impact_time
+            earliest = pair.impact_time
     return first
 
 
@@ -224,6 +243,24 @@ def find_pairs(
     return pairs, num_pairs
 
 
+@func
+def _measure_path(motion: np.record) -> float:
+    """Return how far a drone gets from its position at the beginning of the substep, m."""
+    here = minus(read_vec3(motion.position), read_vec3(motion.start_position))
+    there = plus(here, 1.0, read_vec3(motion.displacement))
+    return math.sqrt(max(dot(here, here), dot(there, there)))
+
+
+@func
+def _leaves_search(space: ContactWorkspace, num_members: int) -> bool:
+    """Check whether the new path of any drone of the island leaves the distance searched."""
+    leaves = False
+    for m in range(num_members):
+        motion = space.motions[space.island[m]]
+        leaves = leaves or not motion.is_due or _measure_path(motion) > motion.range
+    return leaves
+
+
 @allocating
 def _extend_pairs(
     space: ContactWorkspace,
@@ -238,9 +275,7 @@ def _extend_pairs(
         motion = space.motions[order[rank]]
         if not motion.in_island:
             continue
-        here = minus(read_vec3(motion.position), read_vec3(motion.start_position))
-        there = plus(here, 1.0, read_vec3(motion.displacement))
-        distance = math.sqrt(max(dot(here, here), dot(there, there)))
+        distance = _measure_path(motion)
         if distance > motion.range or not motion.is_due:
             motion.range = max(motion.range, 1.5 * distance + PAIR_MARGIN)
             reach = world.scenery.table.radius[order[rank]] + motion.range
@@ -302,14 +337,9 @@ def _resolve_pairs(
     """Resolve the impacts of pairs in order of time; returns whether there was any."""
     w = world.w
     motions = space.motions
-    order = space.order
-    for p in range(num_pairs):
-        _update_time_of_impact(space, world, pairs[p], 0.0)
     any_impact = False
-    while True:
-        first = _find_first_pair(pairs, num_pairs)
-        if first < 0:
-            break
+    first = _update_pairs(space, world, pairs, num_pairs, 0.0, False)
+    while first >= 0:
         time = pairs[first].impact_time
         knot = pairs[first].is_segment_end
         if knot:
@@ -318,11 +348,9 @@ def _resolve_pairs(
             num_members = stop_at_contact(space, world, pairs[first], time, touches, stopped)
         else:
             num_members = resolve_impact(space, world, pairs, num_pairs, first, time, touches)
-        pairs, num_pairs = _extend_pairs(space, world, end, order, pairs, num_pairs)
-        for p in range(num_pairs):
-            b = pairs[p].b
-            if motions[pairs[p].a].in_island or (b < motions.shape[0] and motions[b].in_island):
-                _update_time_of_impact(space, world, pairs[p], time)
+        if _leaves_search(space, num_members):
+            pairs, num_pairs = _extend_pairs(space, world, end, space.order, pairs, num_pairs)
+        first = _update_pairs(space, world, pairs, num_pairs, time, True)
         for m in range(num_members):
             i = space.island[m]
             motions[i].in_island = False

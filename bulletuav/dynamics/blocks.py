@@ -1,8 +1,9 @@
 """SIMD blocks of `WIDTH` drones that `rigid_body` integrates together, one drone in each lane.
 
 Worlds are flown in groups, and the drones of a group are numbered consecutively over its worlds. A
-drone that needs more than one step of RK4, that sleeps, or whose block has fewer than `FEWEST`
-drones to integrate, is integrated alone. The results are equal to the bit.
+drone that needs more than one step of RK4, or whose block has fewer than `FEWEST` drones to
+integrate, is integrated alone. The forces on the sleeping drones of a block are computed together,
+too. The results are equal to the bit.
 """
 
 from typing import Any, NamedTuple
@@ -14,8 +15,9 @@ from bulletuav.compiled.deferred import deferred
 from bulletuav.compiled.gather import copy_numbers, four, gathered, three
 from bulletuav.compiled.kernel import func, kernel
 from bulletuav.compiled.lanes import WIDTH, is_any, lane_zeros, lanes_of, lanes_row, where
+from bulletuav.contact.contact_state import press_support, withstands
 from bulletuav.control.cascade import Cascade
-from bulletuav.dynamics.integration import stepped, turn_rotors
+from bulletuav.dynamics.integration import slope_of, stepped, turn_rotors
 from bulletuav.dynamics.steering import ALONE, Steering, remember_lane, steer
 from bulletuav.vehicle.aerodynamics import is_near_surface
 from bulletuav.vehicle.swarm import DroneArrays, Swarm
@@ -47,6 +49,7 @@ class Blocks(NamedTuple):
         alike: (B,) bool, whether all drones of a block have the same number of rotors.
         has_rotors: (D,) bool, bodies of such blocks that are no loads.
         together: (D,) bool, whether a drone is integrated with its block.
+        resting: (D,) bool, sleeping drones whose forces are computed with those of their block.
         steered: (D,) bool, drones that fly alone, but whose controllers run with their block.
         wakes: Wakes that act on the group's drones.
         command: (G, N, R) commanded rotor speeds, rad/s.
@@ -55,6 +58,9 @@ class Blocks(NamedTuple):
             and end of a substep, rad/s.
         alone: (3, R) rotor speeds of one drone at the begin, middle and end of a substep, rad/s.
         state: (13, `WIDTH`) new state of a block.
+        support: (1, 6, `WIDTH`) rows of `SUPPORT` of the sleeping drones of a block.
+        load: (8, `WIDTH`) their accelerations (m/s^2) and angular accelerations (rad/s^2) without
+            contacts, the force on their supports (N), and 1 if these can bear it, else 0.
         steering: Work arrays of the controllers.
     """
 
@@ -70,6 +76,7 @@ class Blocks(NamedTuple):
     alike: np.ndarray
     has_rotors: np.ndarray
     together: np.ndarray
+    resting: np.ndarray
     steered: np.ndarray
     wakes: Wakes
     command: np.ndarray
@@ -77,6 +84,8 @@ class Blocks(NamedTuple):
     rotors: np.ndarray
     alone: np.ndarray
     state: np.ndarray
+    support: np.ndarray
+    load: np.ndarray
     steering: Steering
 
     @classmethod
@@ -107,6 +116,7 @@ class Blocks(NamedTuple):
             alike=np.zeros(blocks, dtype=bool),
             has_rotors=np.zeros(blocks * WIDTH, dtype=bool),
             together=np.zeros(blocks * WIDTH, dtype=bool),
+            resting=np.zeros(blocks * WIDTH, dtype=bool),
             steered=np.zeros(blocks * WIDTH, dtype=bool),
             wakes=Wakes.of(worlds, num_drones),
             command=np.zeros((worlds, num_drones, num_rotors)),
@@ -114,6 +124,8 @@ class Blocks(NamedTuple):
             rotors=lane_zeros(5, num_rotors),
             alone=np.zeros((3, num_rotors)),
             state=lane_zeros(13),
+            support=lane_zeros(1, 6),
+            load=lane_zeros(8),
             steering=Steering.of(cascade, blocks),
         )
 
@@ -250,6 +262,27 @@ def is_steered(blocks: Any, drone: int) -> bool:
     return bool(blocks.together[drone]) and bool(blocks.steering.level[drone // WIDTH] != ALONE)
 
 
+@func
+def _turn_rotors(blocks: Any, b: int, command: Any, row: Any) -> tuple[Any, Any]:
+    """Advance the rotors of a block from its speeds in `rotors`, see `turn_rotors`."""
+    held, speed = lanes_of(blocks.held, b), lanes_of(blocks.rotors, 0)
+    speeds = (lanes_of(blocks.rotors, 2), lanes_of(blocks.rotors, 3), lanes_of(blocks.rotors, 4))
+    motors = (held[10], lanes_of(blocks.ratio, b))
+    return speeds, turn_rotors(speed, command, *motors, lanes_of(blocks.lag, b), row, speeds)
+
+
+@func
+def _make_surroundings(blocks: Any, b: int, state: Any, dt: float, row: Any) -> tuple[Any, Any]:
+    """Return where a surface below is near, and the surroundings of the drones of a block."""
+    held = lanes_of(blocks.held, b)
+    near = is_near_surface(state[0][2] - held[3], state[2][2], dt, row)
+    wind, force = (held[0], held[1], held[2]), (held[4], held[5], held[6])
+    torque, wake = (held[7], held[8], held[9]), four(blocks.wakes.felt, b * WIDTH)
+    # A drone far from the surface feels no ground effect
+    surface = where(near, held[3], -np.inf)
+    return near, make_surroundings(wind, surface, held[11], force, torque, wake)
+
+
 @deferred(types.none)
 @kernel
 def fly_block(blocks: Any, first: int, b: int, gravity: float, dt: float) -> None:
@@ -265,7 +298,6 @@ def fly_block(blocks: Any, first: int, b: int, gravity: float, dt: float) -> Non
     drone = first + b * WIDTH
     swarm = blocks.swarm
     row = lanes_row(blocks.rows, blocks.packed, b)
-    held = lanes_of(blocks.held, b)
     speed = lanes_of(blocks.rotors, 0)
     command = lanes_of(blocks.rotors, 1)
     for r in range(row.num_rotors):
@@ -278,17 +310,8 @@ def fly_block(blocks: Any, first: int, b: int, gravity: float, dt: float) -> Non
     else:
         for r in range(row.num_rotors):
             command[r] = gathered(blocks.command, b * WIDTH, r)
-    speeds = (lanes_of(blocks.rotors, 2), lanes_of(blocks.rotors, 3), lanes_of(blocks.rotors, 4))
-    motors = (held[10], lanes_of(blocks.ratio, b))
-    rotors = turn_rotors(speed, command, *motors, lanes_of(blocks.lag, b), row, speeds)
-
-    # Surroundings
-    near = is_near_surface(state[0][2] - held[3], state[2][2], dt, row)
-    wind, force = (held[0], held[1], held[2]), (held[4], held[5], held[6])
-    torque, wake = (held[7], held[8], held[9]), four(blocks.wakes.felt, b * WIDTH)
-    # A drone far from the surface feels no ground effect
-    surface = where(near, held[3], -np.inf)
-    around = make_surroundings(wind, surface, held[11], force, torque, wake)
+    speeds, rotors = _turn_rotors(blocks, b, command, row)
+    near, around = _make_surroundings(blocks, b, state, dt, row)
     if is_any(near):
         state = stepped(state, speeds, rotors, dt, around, row.num_rotors, row)
     else:
@@ -315,3 +338,75 @@ def fly_block(blocks: Any, first: int, b: int, gravity: float, dt: float) -> Non
                 swarm.rotor_speed[0, drone + lane, r] = blocks.rotors[0, r, lane]
             if steered:
                 remember_lane(blocks.steering, lane, drone + lane)
+
+
+@deferred(types.none)
+@kernel
+def load_block(blocks: Any, supports: np.ndarray, first: int, b: int, dt: float) -> None:
+    """Compute the forces on a block's sleeping drones, and those on their supports, into `load`.
+
+    Args:
+        blocks: `Blocks` of a group; the new rotor speeds are written into its `rotors` only.
+        supports: (W, N) rows of `SUPPORT`, what sleeping drones rest on.
+        first: Number of the group's first drone, counted over all worlds.
+        b: Index of the block.
+        dt: Duration of the step, s.
+    """
+    drone, num_drones = first + b * WIDTH, supports.shape[1]
+    row = lanes_row(blocks.rows, blocks.packed, b)
+    speed, command = lanes_of(blocks.rotors, 0), lanes_of(blocks.rotors, 1)
+    for r in range(row.num_rotors):
+        speed[r] = gathered(blocks.swarm.rotor_speed, drone, r)
+        command[r] = gathered(blocks.command, b * WIDTH, r)
+    w, i = drone // num_drones, drone % num_drones
+    for lane in range(WIDTH):
+        if blocks.resting[b * WIDTH + lane]:
+            support = supports[w, i]
+            for k in range(3):
+                blocks.support[0, k, lane] = support.normal[k]
+            blocks.support[0, 3, lane] = support.height
+            blocks.support[0, 4, lane] = support.span
+            blocks.support[0, 5, lane] = support.friction
+        i += 1
+        if i == num_drones:
+            w, i = w + 1, 0
+    state = _state_of(blocks.swarm, drone)
+    speeds, rotors = _turn_rotors(blocks, b, command, row)
+    near, around = _make_surroundings(blocks, b, state, dt, row)
+    lifted = row.num_rotors if is_any(near) else 0
+    # The forces at the end of the substep
+    slope = slope_of(state, speeds[2], rotors[2], around, lifted, row)
+    acceleration, spinning = slope[2:]
+    held = lanes_row(supports, blocks.support, 0)
+    pressed, is_safe = press_support(held, state[1], acceleration, spinning, row)
+    load = lanes_of(blocks.load, 0)
+    for k in range(3):
+        load[k] = acceleration[k]
+        load[3 + k] = spinning[k]
+    load[6] = pressed
+    load[7] = where(is_safe, 1.0, 0.0)
+
+
+@func
+def stays_in_block(blocks: Any, contact: Any, w: int, i: int, drone: int, dt: float) -> bool:
+    """Check whether a sleeping drone stays at rest under the forces that `load_block` computed.
+
+    Args:
+        blocks: `Blocks` of a group, with the forces on the block of the drone.
+        contact: `ContactState`; see `stays_asleep`.
+        w: Index of the world.
+        i: Index of the drone.
+        drone: Index of the drone in the group.
+        dt: Duration of the step, s.
+    """
+    load, lane = blocks.load, drone % WIDTH
+    acceleration = (load[0, lane], load[1, lane], load[2, lane])
+    spinning = (load[3, lane], load[4, lane], load[5, lane])
+    pressed, is_safe = load[6, lane], load[7, lane] > 0.0
+    stays: bool = withstands(contact, w, i, acceleration, spinning, pressed, is_safe, dt)
+    if stays:
+        speed = blocks.swarm.rotor_speed
+        number = w * contact.asleep.shape[1] + i
+        for r in range(blocks.rows[w, i].num_rotors):
+            speed[0, number, r] = blocks.rotors[0, r, lane]
+    return stays

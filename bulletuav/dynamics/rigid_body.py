@@ -29,7 +29,9 @@ from bulletuav.dynamics.blocks import (
     fly_block,
     has_enough,
     is_steered,
+    load_block,
     pack_blocks,
+    stays_in_block,
     steer_block,
 )
 from bulletuav.dynamics.cables import Cables, group_bodies
@@ -59,6 +61,11 @@ def _fly_alone(
     """Integrate drone i of world w over a substep alone; the group's first world is `first`."""
     swarm, row = decision.drones.swarm, decision.drones.parameters[w, i]
     air, dt = decision.air, decision.step.dt
+    drone = (w - first) * contact.asleep.shape[1] + i
+    if contact.asleep[w, i] and blocks.resting[drone]:
+        if stays_in_block(blocks, contact, w, i, drone, dt):
+            return
+        rouse(contact, w, i)
     alone = blocks.alone
     speeds = (alone[0], alone[1], alone[2])
     command, decay = blocks.command[w - first, i], blocks.decay[w - first, i]
@@ -115,7 +122,7 @@ def _mark(
     alive, spin = drones.alive, drones.swarm.rates
     stopped, asleep = contact.stopped, contact.asleep
     together, alike, has_rotors = blocks.together, blocks.alike, blocks.has_rotors
-    sleeping = blocks.sleeping
+    sleeping, resting = blocks.sleeping, blocks.resting
     drone = part.begin * WIDTH
     for w in range(part.first, part.last):
         for i in range(part.low, part.high):
@@ -124,13 +131,18 @@ def _mark(
             calm = dot(rates, rates) * dt * dt < CALM * CALM
             # Branches would be slower
             flies = alive[w, i] & calm & (not still)
-            together[drone] = flies & alike[drone // WIDTH] & has_rotors[drone]
+            rests = alive[w, i] & asleep[w, i] & (not (stopped[w, i] | tied[w, i]))
+            fits = alike[drone // WIDTH] & has_rotors[drone]
+            together[drone] = flies & fits
+            resting[drone] = rests & fits
             sleeping[drone] = asleep[w, i]
             drone += 1
     for k in range(drone, part.end * WIDTH):
         blocks.together[k] = False
+        blocks.resting[k] = False
     for b in range(part.begin, part.end):
         blocks.flown[b] = has_enough(blocks.together, b)
+        has_enough(blocks.resting, b)
 
 
 @func
@@ -245,9 +257,14 @@ def _fly_rest(
     Drones that sleep come last, in their order, as a drone that wakes also wakes others.
     """
     alive, num_drones = decision.drones.alive, decision.drones.alive.shape[1]
+    loaded = -1
     for w in range(part.first, part.last):
         for i in range(part.low, part.high):
             drone = (w - part.first) * num_drones + i
+            if is_asleep and blocks.resting[drone] and drone // WIDTH != loaded:
+                loaded = drone // WIDTH
+                first = part.first * num_drones
+                load_block(blocks, contact.support, first, loaded, decision.step.dt)
             moved = blocks.together[drone] or cables.is_tied[w, i]
             flies = alive[w, i] and not contact.stopped[w, i] and not moved
             if flies and blocks.sleeping[drone] == is_asleep:
