@@ -136,7 +136,8 @@ def compute_support_force(
     # Moment about the foot of the centre of mass: gives the centre of pressure
     tipping = plus(plus(torque, -about, normal), support.height, cross(normal, along))
     max_tipping = SAFE_FRACTION * support.span * pressed
-    pull = math.sqrt(dot(along, along)) + abs(about) / support.span
+    base = where(support.span > 0.0, support.span, 1.0)
+    pull = math.sqrt(dot(along, along)) + abs(about) / base
     # Without branches, which lanes do not have; no pull is below a negative limit
     limit = where(
         dot(tipping, tipping) > max_tipping * max_tipping,

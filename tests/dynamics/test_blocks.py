@@ -2,6 +2,8 @@
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from bulletuav.compiled.lanes import WIDTH
 from bulletuav.control.setpoint import SetpointLevel
@@ -81,3 +83,81 @@ def test_drones_that_are_moved_together_fly_as_each_alone(make_bench, shape, lev
             alone.fly(level, setpoint[w, i])
         for name, got, expected in zip(many.swarm._fields, many.swarm, alone.swarm, strict=True):
             assert got[w, i].tobytes() == expected[0, 0].tobytes(), (w, i, name)
+
+
+def draw_resting(bench, rows, rng):
+    """Draw two drones on the ground and one above, for each world; returns what `begin` takes."""
+    swarm, shape = bench.swarm, bench.alive.shape
+    rows = rows.copy()
+    for name in ("mass", "inertia", "lag_up", "lag_down", "drag_height", "wake_share"):
+        rows[name] *= rng.uniform(0.8, 1.2, rows[name].shape)
+    for array in (swarm.velocity, swarm.rates, swarm.rotor_speed):
+        array[:] = 0
+    swarm.position[:] = 0
+    swarm.position[..., 0] = 5 * np.arange(shape[1])
+    swarm.position[..., 2] = bench.airframe.shape.half[2] + 5e-5
+    swarm.position[:, 2] = swarm.position[:, 0] + rng.uniform(-0.2, 0.2, (shape[0], 3))
+    swarm.position[:, 2, 2] += rng.uniform(0.5, 1.0, shape[0])
+    yaw = rng.uniform(-np.pi, np.pi, shape)
+    swarm.quaternion[:] = 0
+    # Some lie upside down
+    side = rng.random(shape) < 0.3
+    swarm.quaternion[..., 0] = np.where(side, np.cos(yaw / 2), 0)
+    swarm.quaternion[..., 1] = np.where(side, np.sin(yaw / 2), 0)
+    swarm.quaternion[..., 2] = np.where(side, 0, np.sin(yaw / 2))
+    swarm.quaternion[..., 3] = np.where(side, 0, np.cos(yaw / 2))
+    swarm.rotor_speed[:, 2] = bench.airframe.hover_speed()
+    return [array.copy() for array in swarm], rows, np.ones(shape, dtype=bool)
+
+
+def test_forces_on_sleeping_drones_are_those_of_each_alone(make_bench):
+    """Blocks of several worlds compute them together, a world of two sleeping drones does not."""
+    worlds = 2 * WIDTH
+    options = {"drones": 3, "substeps": 6}
+    many = make_bench("rigid_body", "cf2x", worlds=worlds, **options)
+    one = make_bench("rigid_body", "cf2x", **options)
+    mean = many.dynamics.flight.parameters.copy()
+    counts = {"stayed": 0, "woke": 0}
+
+    def fly(bench, drawn, world, setpoints):
+        begin(bench, *drawn(world))
+        seen = []
+        for setpoint in setpoints:
+            bench.fly(SetpointLevel.ROTOR, setpoint[world])
+            contact = bench.dynamics.contact
+            impulse = np.where(contact.touches.number > 0, contact.touches.impulse[..., 0], 0.0)
+            # Written in the first substep of sleep
+            known = contact.asleep & ~np.isnan(contact.load[..., 0])
+            load = np.where(known[..., None], contact.load, 0.0)
+            arrays = (*bench.swarm, contact.asleep, impulse, load)
+            seen.append([array.copy() for array in arrays])
+        return seen
+
+    @settings(max_examples=8)
+    @given(st.integers(0, 2**32 - 1), st.floats(0.5, 2.5))
+    def check(seed, throttle):
+        rng = np.random.default_rng(seed)
+        states, rows, alive = draw_resting(many, mean, rng)
+        full = many.airframe.hover_speed()
+        setpoints = throttle * full * rng.uniform(0.0, 1.0, (8, worlds, 3, 4))
+        setpoints[:, :, 2] = full
+        setpoints[:3, :, :2] = 0.0
+
+        def drawn(world):
+            return [array[world] for array in states], rows[world], alive[world]
+
+        together = fly(many, drawn, slice(None), setpoints)
+        slept = together[2][5]
+        assert slept[:, :2].all()
+        for now, before in zip(together[3:], together[2:], strict=False):
+            counts["stayed"] += (now[5] & before[5]).sum()
+            counts["woke"] += (~now[5] & before[5]).sum()
+        for world in range(worlds):
+            alone = fly(one, drawn, slice(world, world + 1), setpoints)
+            for k, (all_worlds, single) in enumerate(zip(together, alone, strict=True)):
+                for number, (got, expected) in enumerate(zip(all_worlds, single, strict=True)):
+                    assert got[world].tobytes() == expected[0].tobytes(), (k, world, number)
+
+    check()
+    assert counts["stayed"] > 100
+    assert counts["woke"] > 10
