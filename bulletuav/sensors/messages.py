@@ -9,11 +9,23 @@ from typing import Any
 import numpy as np
 
 from bulletuav.compiled.functions import power
-from bulletuav.compiled.kernel import allocating
+from bulletuav.compiled.kernel import allocating, func, kernel
 from bulletuav.control.actions.messages import read_message
 from bulletuav.engine.engine import Engine
 from bulletuav.errors import as_bool, as_int, finite, points_of, shown, unknown
-from bulletuav.geometry.closest_approach import insert_nearest
+from bulletuav.geometry.closest_approach import insert_nearest_by_index
+from bulletuav.geometry.grid import (
+    MIN_POINTS,
+    WIDENING,
+    Grid,
+    cells_around,
+    fill_grid,
+    is_whole,
+    make_point_grid,
+    num_rows,
+    row_items,
+)
+from bulletuav.geometry.rotation import dot, minus, point
 from bulletuav.sensors.base import Image, Label, Moment, Sensor, SensorSetup
 from bulletuav.sensors.sight import line_of_sight
 from bulletuav.vehicle.swarm import Swarm
@@ -26,6 +38,8 @@ MAX_DELAY = 10.0
 """Maximum delay, s"""
 MAX_PLACE = 1e5
 """Maximum coordinate of a jammer, m"""
+MAX_CHANCES = 2**22
+"""Maximum number of random numbers that are drawn in one array"""
 NUMBER_BITS = 32
 """Bits of a number that is no token: single precision, as in observations"""
 
@@ -223,11 +237,16 @@ def _deliver(
     sent: np.ndarray,
     reach: tuple[float, float, float],
     jammer: np.ndarray,
+    first_receiver: int,
     chance: np.ndarray,
-    heard: np.ndarray,
+    lists_pairs: bool,
     near: np.ndarray,
-) -> None:
+    heard: np.ndarray,
+    received: np.ndarray,
+) -> np.ndarray:
     """Write which messages of one world arrive, and the nearest other drones.
+
+    Large swarms are searched by grids.
 
     Args:
         position: (N, 3) positions, m.
@@ -236,34 +255,104 @@ def _deliver(
         sent: (N,) bool, drones whose messages arrive now.
         reach: Range, m; probability of a loss; maximum distance over that from the jammer.
         jammer: (J, 3) positions of the jammers, m.
-        chance: (N, N) random numbers from 0 to 1; unused without losses.
-        heard: (N, N) bool, written: whether drone i gets a message of drone j.
+        first_receiver: Index of the first of R drones that receive; all others are unchanged.
+        chance: (R, N) random numbers from 0 to 1, a row for each receiver; (R, 0) without
+            losses.
+        lists_pairs: Whether to return the pairs.
         near: (N, K) written: the nearest other drones by `known`; -1 for none.
+        heard: (N, K) bool, written: whether a message of that drone arrives.
+        received: (N,) written: number of messages that arrive.
+
+    Returns:
+        (M, 2) receiver and sender of each message that arrives, if asked for.
     """
-    drones, count = near.shape
+    drones = near.shape[0]
     farthest, loss, ratio = reach
-    least = np.empty(count)
-    for i in range(drones):
-        clear = np.inf
-        for k in range(jammer.shape[0]):
-            square = 0.0
-            for axis in range(3):
-                square += (jammer[k, axis] - position[i, axis]) ** 2
-            clear = min(clear, ratio * math.sqrt(square))
-        found = 0
+    least = np.empty(near.shape[1])
+    pairs, total = np.empty((0, 2), dtype=np.int64), 0
+    grids = (make_point_grid(drones), make_point_grid(drones))
+    by_grid = drones >= MIN_POINTS
+    if by_grid:
+        grids[0].place[:], grids[1].place[:] = known, position
+        by_grid = fill_grid(grids[0], flying[None], 0) and fill_grid(grids[1], flying[None], 0)
+    for k in range(chance.shape[0]):
+        i = first_receiver + k
         near[i] = -1
-        for j in range(drones):
-            heard[i, j] = False
-            if i == j or not (flying[i] and flying[j]):
-                continue
-            square, apparent = 0.0, 0.0
-            for axis in range(3):
-                square += (position[j, axis] - position[i, axis]) ** 2
-                apparent += (known[j, axis] - known[i, axis]) ** 2
-            found = insert_nearest(near[i], least, found, j, apparent)
-            distance = math.sqrt(square)
-            if sent[j] and distance <= farthest and distance <= clear:
-                heard[i, j] = loss == 0.0 or chance[i, j] >= loss
+        heard[i] = False
+        received[i] = 0
+        if not flying[i]:
+            continue
+        _find_nearest(known, flying, i, by_grid, grids[0], near[i], least)
+        limit = farthest
+        for source in range(jammer.shape[0]):
+            limit = min(limit, ratio * _distance(jammer, source, position, i))
+        # All drones in one row, or rows of the grid's cells
+        box, rows = cells_around(grids[1], (0.0, 0.0, 0.0), 0.0), 1
+        is_limited = by_grid and limit < np.inf
+        if is_limited:
+            box = cells_around(grids[1], point(position, i), limit + grids[1].sizes[1])
+            rows = num_rows(box)
+        for row in range(rows):
+            first, last = row_items(grids[1], box, row) if is_limited else (0, drones)
+            for m in range(first, last):
+                j = grids[1].item[m] if is_limited else m
+                if i == j or not (flying[j] and sent[j]):
+                    continue
+                if _distance(position, j, position, i) > limit or (loss > 0.0 and chance[k, j] < loss):
+                    continue
+                received[i] += 1
+                for slot in range(near.shape[1]):
+                    heard[i, slot] = heard[i, slot] or near[i, slot] == j
+                if lists_pairs:
+                    if total == pairs.shape[0]:
+                        wider = np.empty((2 * total + drones, 2), dtype=np.int64)
+                        wider[:total] = pairs
+                        pairs = wider
+                    pairs[total, 0], pairs[total, 1] = i, j
+                    total += 1
+    return pairs[:total]
+
+
+@func
+def _distance(one: np.ndarray, k: int, two: np.ndarray, i: int) -> float:
+    """Return the distance from point i of `two` to point k of `one`, m."""
+    between = minus(point(one, k), point(two, i))
+    return math.sqrt(dot(between, between))
+
+
+@kernel
+def _find_nearest(
+    known: np.ndarray,
+    flying: np.ndarray,
+    i: int,
+    by_grid: bool,
+    grid: Grid,
+    near: np.ndarray,
+    least: np.ndarray,
+) -> None:
+    """Write the flying drones nearest to drone i, by squared distance; `least` is a work array."""
+    here = point(known, i)
+    radius = grid.sizes[0]
+    is_complete = False
+    while not is_complete:
+        found, rows = 0, 1
+        box = cells_around(grid, here, radius)
+        if by_grid:
+            rows = num_rows(box)
+        for row in range(rows):
+            first, last = row_items(grid, box, row) if by_grid else (0, flying.size)
+            for m in range(first, last):
+                j = grid.item[m] if by_grid else m
+                if j != i and flying[j]:
+                    between = minus(point(known, j), here)
+                    square = dot(between, between)
+                    found = insert_nearest_by_index(near, least, found, j, square)
+        within = radius - grid.sizes[1]
+        is_complete = not by_grid or is_whole(grid, box) or near.size == 0
+        if found == near.size and found > 0 and within > 0.0:
+            is_complete = is_complete or least[found - 1] < within * within
+        # A grid of a single point, or of coincident ones, has cells without an edge
+        radius = WIDENING * max(radius, grid.sizes[1])
 
 
 class Messages(Sensor):
@@ -305,9 +394,11 @@ class Messages(Sensor):
         # In transit, latest first
         self._message = np.zeros((self._late + 1, worlds, drones, channel.size))
         self._sent = np.zeros((self._late + 1, worlds, drones), dtype=bool)
-        self._heard = np.zeros((worlds, drones, drones), dtype=bool)
+        # The nearest other drones, and whether a message of each arrived
         self._near = np.full((worlds, drones, setup.num_neighbours), -1)
+        self._heard = np.zeros(self._near.shape, dtype=bool)
         self._num_sent, self._num_heard = np.zeros((2, worlds, drones), dtype=np.int64)
+        self._received = np.zeros(drones, dtype=np.int64)
         jammer = channel.jammer
         self._ratio = 1.0 if jammer is None else jammer.reach_ratio
 
@@ -327,47 +418,53 @@ class Messages(Sensor):
             is_due = (moment.steps[w] - 1) % self._every == 0
             self._sent[0, w] = moment.mask[w] & is_due
             self._receive(w, moment)
-        if channel.line_of_sight:
-            self._require_sight(moment.after.position, worlds)
         self._num_sent[worlds] += self._sent[0, worlds]
-        self._num_heard[worlds] += self._heard[worlds].sum(axis=2)
         return {self.name: self._observe()}
 
     def _receive(self, w: int, moment: Moment) -> None:
         """Write which messages arrive in a world."""
-        channel, drones = self.channel, self.setup.shape[1]
+        channel = self.channel
         jammers = np.zeros((0, 3))
         if channel.jammer is not None:
             jammers = channel.jammer.position(moment.steps[w] * self.setup.period)[None]
-        chance = moment.rngs[w].random((drones, drones)) if channel.loss else np.zeros((0, 0))
-        _deliver(
-            moment.after.position[w],
-            moment.position[w],
-            moment.mask[w],
-            self._sent[-1, w],
-            (channel.range, channel.loss, self._ratio),
-            jammers,
-            chance,
-            self._heard[w],
-            self._near[w],
-        )
-
-    def _require_sight(self, position: np.ndarray, worlds: list[int]) -> None:
-        """Drop messages between drones that do not see each other."""
-        heard = np.zeros_like(self._heard)
-        heard[worlds] = self._heard[worlds]
-        w, i, j = np.nonzero(heard)
-        if len(w):
-            self._heard[w, i, j] = line_of_sight(self.engine, position[w, i], position[w, j], w)
+        position, near, heard = moment.after.position[w], self._near[w], self._heard[w]
+        drones = len(position)
+        # Blocks of receivers, so that random numbers of all pairs need little memory
+        block = max(MAX_CHANCES // drones, 1) if channel.loss else drones
+        for first in range(0, drones, block):
+            shape = (min(block, drones - first), drones if channel.loss else 0)
+            chance = moment.rngs[w].random(shape)
+            pairs = _deliver(
+                position,
+                moment.position[w],
+                moment.mask[w],
+                self._sent[-1, w],
+                (channel.range, channel.loss, self._ratio),
+                jammers,
+                first,
+                chance,
+                channel.line_of_sight,
+                near,
+                heard,
+                self._received,
+            )
+            if len(pairs):
+                # Drop messages between drones that do not see each other
+                i, j = pairs.T
+                worlds = np.full(len(pairs), w)
+                is_blocked = ~line_of_sight(self.engine, position[i], position[j], worlds)
+                i, j = i[is_blocked], j[is_blocked]
+                np.subtract.at(self._received, i, 1)
+                row, slot = np.nonzero(near[i] == j[:, None])
+                heard[i[row], slot] = False
+        self._num_heard[w] += self._received
 
     def _observe(self) -> np.ndarray:
         """Return the slots of all drones, (W, N, K (1 + numbers))."""
         channel, near = self.channel, self._near
         worlds, drones, count = near.shape
-        w, i = np.ogrid[:worlds, :drones]
-        w, i = w[..., None], i[..., None]
-        arrived = (near >= 0) & self._heard[w, i, near]
-        message = self._message[-1][w, near]
+        arrived = (near >= 0) & self._heard
+        message = self._message[-1][np.arange(worlds)[:, None, None], near]
         if channel.tokens is not None:
             message = message[..., None] == np.arange(channel.tokens)
         message = message.reshape(worlds, drones, count, -1) * arrived[..., None]

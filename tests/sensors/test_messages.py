@@ -209,3 +209,26 @@ def test_a_jammer_flies_along_its_closed_path():
 def test_invalid_channels(given, message):
     with pytest.raises(ValueError, match=message):
         as_channel(given)
+
+
+@pytest.mark.parametrize("loss", [0.0, 0.4])
+@pytest.mark.parametrize("range_", [6.0, math.inf])
+def test_large_swarms_hear_as_small_ones_do(range_, loss):
+    # 260 drones are searched by grids: compared with all pairs, in NumPy
+    drones, slots = 260, 4
+    rng = np.random.default_rng(3)
+    position = rng.uniform(0, 30, (drones, 3))
+    position[10:14] = position[14]
+    mask = rng.random((1, drones)) < 0.9
+    channel = Channel(size=1, range=range_, loss=loss)
+    seen, infos = fly(channel, position, 1, counting(1, drones), mask=mask, neighbours=slots)
+    arrives = np.random.default_rng(7).random((drones, drones)) >= loss
+    square = ((position[None] - position[:, None]) ** 2).sum(axis=2)
+    pairs = mask[0] & mask[0][:, None] & ~np.eye(drones, dtype=bool)
+    heard = pairs & (np.sqrt(square) <= range_) & arrives
+    np.testing.assert_array_equal(infos[0]["messages_heard"], heard.sum(axis=1))
+    for i in range(drones):
+        nearest = sorted(np.flatnonzero(pairs[i]), key=lambda j: (square[i, j], j))[:slots]
+        expected = [(1, 0.01 * (1 + j)) if heard[i, j] else (0, 0) for j in nearest]
+        expected += [(0, 0)] * (slots - len(expected))
+        np.testing.assert_allclose(seen[0, i], expected, err_msg=str(i))
