@@ -207,3 +207,26 @@ def test_ten_thousand_drones_cross():
     aviary = bulletuav.Aviary("crossing", num_drones=10_000, dynamics="point_mass")
     assert aviary.task.arena_high[0] < 2000
     aviary.close()
+
+
+@pytest.mark.parametrize("task", ["navigation", "los", "patrol"])
+def test_cities_grow_with_large_swarms(task):
+    options = {"num_layouts": 1, "dynamics": "point_mass"}
+    aviary = bulletuav.Aviary(task, num_drones=600, **options)
+    aviary.reset(seeds=0)
+    place = aviary.swarm.position[0]
+    apart = aviary.task.config.min_separation
+    assert cKDTree(place).query(place, 2)[0][:, 1].min() >= apart
+    # A fifth of the city's square is covered by discs of that diameter
+    side = np.sqrt(600 * np.pi / 4 * apart**2 / 0.2)
+    np.testing.assert_allclose(aviary.task.arena_high[:2], side / 2, rtol=1e-9)
+    aviary.close()
+    # Smaller swarms have the city that was asked for
+    few = bulletuav.Aviary(task, num_drones=20, **options)
+    assert few.task.arena_high[0] == few.task.config.area / 2
+    few.close()
+
+
+def test_cities_without_room_name_the_side_that_is_needed():
+    with pytest.raises(ValueError, match=r"need a city of side 6267 m.*lower min_separation"):
+        bulletuav.Aviary("coverage", num_drones=1000)

@@ -26,6 +26,7 @@ from bulletuav.sensors.base import Label
 from bulletuav.tasks.base import Task
 from bulletuav.tasks.frame import Frame, Spawn, TaskContext
 from bulletuav.tasks.observations.base import Block
+from bulletuav.tasks.parts.airspace import LARGE_SWARM
 from bulletuav.tasks.parts.base import Part
 from bulletuav.tasks.parts.charging_pads import ChargingPads, has_pads
 from bulletuav.tasks.parts.draws import (
@@ -55,6 +56,9 @@ MEASURES = (
     Label("city_gamma", "m", 0.0, MAX_VALUES["gamma"]),
 )
 """City parameters in infos and the global state"""
+MAX_OCCUPANCY = 0.2
+"""Maximum fraction of a city that has grown which discs of diameter `min_separation` cover, so that
+random positions are found fast"""
 MAX_TRIES = 200
 """Maximum number of draws of a position before an error is raised"""
 NO_HILLS, NO_STARTS = np.zeros((0, 0)), np.zeros((0, 3))
@@ -71,8 +75,8 @@ class CityOptions:
             that also sets numbers of the terrain, such as {"kind": "forest", "tree_density": 50},
             see `bulletuav.city.terrain.Terrain`; the path of a .geojson, .json or .obj file; or a
             `City`.
-        area: Side of the city's square, or its lengths along x and y, m. Cities from files have
-            their smallest bounding square.
+        area: Side of the city's square, or its lengths along x and y, m. More than 256 drones have
+            a larger one if they need it. Cities from files have their smallest bounding square.
         irregularity: Irregularity of the city, from 0, a regular grid, to 1; without effect in
             terrain.
         num_layouts: Number of cities that are generated; each world has one of them per episode.
@@ -121,11 +125,13 @@ class CityOptions:
         return idle
 
 
-def make_cities(config: CityOptions) -> tuple[City, ...]:
+def make_cities(config: CityOptions, num_drones: int = 1) -> tuple[City, ...]:
     """Create the cities that the options describe.
 
     Args:
-        config: Options; `city`, `area`, `irregularity`, `num_layouts` and `city_seed` are used.
+        config: Options; `city`, `area`, `irregularity`, `num_layouts`, `city_seed` and
+            `min_separation` are used.
+        num_drones: Number of drones in a city; many need a larger area.
 
     Returns:
         A city for each layout.
@@ -157,6 +163,8 @@ def make_cities(config: CityOptions) -> tuple[City, ...]:
             f"area is {max(sides):g} m: "
             f"less than {TILE_PITCH:g} m is needed, where other worlds begin"
         )
+    if num_drones > LARGE_SWARM:
+        sides = _enlarged(sides, num_drones, config.min_separation)
     if kind == OPEN:
         return (open_ground(sides),)
     seeds = range(config.city_seed, config.city_seed + config.num_layouts)
@@ -196,6 +204,21 @@ def _sides(area: Any) -> tuple[float, float]:
     if min(sides) <= 0:
         raise ValueError(f"area is {min(sides):g} m: it must be above 0")
     return sides
+
+
+def _enlarged(
+    sides: tuple[float, float], num_drones: int, min_separation: float
+) -> tuple[float, float]:
+    """Return the sides of a city, m, enlarged if it is too small for the drones."""
+    needed = num_drones * math.pi / 4 * min_separation**2 / MAX_OCCUPANCY
+    growth = max(math.sqrt(needed / (sides[0] * sides[1])), 1.0)
+    if growth * max(sides) >= TILE_PITCH:
+        raise ValueError(
+            f"{num_drones} drones with min_separation {min_separation:g} m need a city of side "
+            f"{growth * max(sides):.4g} m: less than {TILE_PITCH:g} m is possible; "
+            f"lower min_separation or num_drones"
+        )
+    return growth * sides[0], growth * sides[1]
 
 
 def _given_terrain(given: Mapping[Any, Any]) -> Terrain:
@@ -250,7 +273,7 @@ class CityLayouts(Part):
         self.config = config
         self._num_drones = context.num_drones
         self._measured: tuple[bytes, dict[str, np.ndarray]] = (b"", {})
-        self.cities = make_cities(config)
+        self.cities = make_cities(config, context.num_drones)
         self._check_hills(task)
         self.solids: tuple[Solids, ...] = tuple(city.solids for city in self.cities)
         self.parameters = np.array([*map(parameters, self.cities), (0.0, 0.0, 0.0)])
@@ -606,7 +629,9 @@ def draw_positions(
                 continue
             is_found = True
             for k in range(i):
-                is_found = is_found and _distance(places, k, x, y, z) >= apart
+                if _distance(places, k, x, y, z) < apart:
+                    is_found = False
+                    break
             if is_found:
                 places[i, 0], places[i, 1], places[i, 2] = x, y, z
                 break
