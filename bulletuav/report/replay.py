@@ -6,10 +6,12 @@ recording; see `payload`.
 
 import base64
 import colorsys
+import dataclasses
 import html
 import json
 import re
 import zlib
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +29,7 @@ from bulletuav.parsing import parse_json
 from bulletuav.report.figures import NO_PADS, drone_colours
 from bulletuav.report.payload import Payload
 from bulletuav.report.replay_charts import add_charts, prepend_missing_row
+from bulletuav.report.replay_sampling import Sample, take_sample, take_whole
 from bulletuav.report.verification import read_sealed
 
 REPLAY = "replay.html"
@@ -118,7 +121,7 @@ def write_replay(recording: Recording, title: str, path: Path, source: str = "")
         OSError: If the file cannot be written.
     """
     try:
-        text = make_payload(recording, title)
+        text = make_payload(recording, title, take_sample)
     except SCENE_ERRORS as error:
         raise scene_error(error, source) from None
     replace_file(path, render_page(title, text))
@@ -157,9 +160,20 @@ def render_page(title: str, payload: str = "") -> str:
     return re.sub(r"<!--put (\w+)-->", lambda found: parts[found[1]], template)
 
 
-def make_payload(recording: Recording, title: str) -> str:
-    """Return the payload of a whole recording."""
+def make_payload(
+    recording: Recording,
+    title: str,
+    take: Callable[[Recording, dict[str, Any]], Sample] = take_whole,
+) -> str:
+    """Return the payload of a recording.
+
+    Args:
+        recording: The recording.
+        title: Title of the page.
+        take: Chooses the part of the recording that is in the page.
+    """
     about = parse_json(str(recording.scene["about"]), "its description")
+    recording, about, drones, order, every = take(recording, about)
     # The page finds arrays and series by name
     payload = Payload()
     charts = _add_rows(payload, recording, about)
@@ -169,13 +183,16 @@ def make_payload(recording: Recording, title: str) -> str:
         if part["kind"] == HULL:
             part["triangles"] = _hull_triangles(part["corners"])
     # Metadata
+    colours = _colours(len(order))
     metadata = {
         "title": title,
         "rows": len(recording.time),
         "drones": recording.position.shape[1],
         "goals": recording.goal.shape[1],
         "users": recording.target.shape[1],
-        "colours": _colours(recording.position.shape[1]),
+        "detailed": drones,
+        "every": every,
+        "colours": [colours[drone] for drone in order.tolist()],
         **{name: about[name] for name in ("task", "d_safe", "airframes", "airframe_of")},
         **{name: about[name] for name in ("obstacles", "lidar")},
         # Earlier recordings have no pads
@@ -207,6 +224,8 @@ def _add_rows(payload: Payload, recording: Recording, about: dict[str, Any]) -> 
     if "cable" in recording.scene:
         payload.add_series("cable", recording.scene["cable"])
     payload.add("conflict", prepend_missing_row(recording.separation) < about["d_safe"], "u1")
+    detailed = recording.quaternion.shape[1]
+    recording = dataclasses.replace(recording, separation=recording.separation[:, :detailed])
     payload.add("contact_row", recording.contact_step + 1, "u4")
     payload.add("contact_point", recording.contact_point, "f4")
     _add_users(payload, recording)

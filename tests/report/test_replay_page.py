@@ -10,7 +10,9 @@ from PIL import Image
 import bulletuav
 from bulletuav.analysis.recording import fly_episode
 from bulletuav.policies import find_policy
+from bulletuav.report import replay_sampling
 from bulletuav.report.replay import write_replay
+from bulletuav.report.replay_sampling import take_sample
 
 pytestmark = pytest.mark.skipif(not chromium.found(), reason="there is no Chromium")
 
@@ -199,3 +201,36 @@ def test_a_block_that_is_no_block_is_told(flight, browser, tmp_path):
     browser.wait("document.querySelector('#trouble') && !document.querySelector('#trouble').hidden")
     assert browser.messages
     browser.messages.clear()
+
+
+def test_large_swarms_are_shown_as_discs_and_a_sample_in_detail(browser, tmp_path, monkeypatch):
+    monkeypatch.setattr(replay_sampling, "MAX_POSITIONS", 300 * 7)
+    flight = recorded("crossing", "straight", num_drones=300, horizon=25)
+    path = tmp_path / "swarm.html"
+    write_replay(flight, "a swarm", path)
+    browser.open(path, "#theme=light")
+    assert browser.tell("replay.episode.detailed") == 256
+    assert browser.tell("document.querySelector('#sampling').textContent") == (
+        "300 drones by their positions, every 4 decisions; 256 of them also with attitudes, "
+        "trails, goals and plots."
+    )
+    order = take_sample(flight, {"airframe_of": [0] * 300}).order
+    for row, time in ((12, flight.time[12]), (25, flight.time[25])):
+        browser.tell(f"replay.seek({time})")
+        shown = np.array(browser.tell("Array.from(replay.episode.position)")).reshape(-1, 3)
+        np.testing.assert_allclose(shown, flight.position[row][order], atol=0.01)
+    # The last interval has one decision: half of it is at the middle of its two rows
+    middle = 0.5 * (flight.time[24] + flight.time[25])
+    browser.tell(f"replay.seek({middle})")
+    shown = np.array(browser.tell("Array.from(replay.episode.position)")).reshape(-1, 3)
+    between = 0.5 * (flight.position[24] + flight.position[25])
+    np.testing.assert_allclose(shown, between[order], atol=0.01)
+    # A control sets how many drones have trails
+    total = browser.tell("replay.drones.trails.total")
+    browser.tell(
+        "document.querySelector('#tracked').value = 16;"
+        "document.querySelector('#tracked').dispatchEvent(new Event('change'))"
+    )
+    assert browser.tell("replay.drones.trails.total") == pytest.approx(total * 16 / 256, rel=0.2)
+    assert browser.tell("document.querySelector('#all').textContent") == "of 300 drones"
+    assert browser.messages == []

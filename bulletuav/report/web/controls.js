@@ -10,6 +10,7 @@ const REACHES = [
 ];
 const LAYERS = [
   ["trails", "Trails"],
+  ["crowd", "Drones without details"],
   ["rings", "d_safe circles"],
   ["stems", "Lines to ground and goal"],
   ["goals", "Goals"],
@@ -20,6 +21,7 @@ const LAYERS = [
   ["cables", "Cables"],
   ["city", "City"],
 ];
+const TRACKED = [1, 4, 16, 64]; // numbers of drones whose trails may be shown
 const PAN = 40; // step of the view per key press, pixels
 
 export const byId = (id) => document.getElementById(id);
@@ -33,6 +35,8 @@ export function connect(player) {
   for (const [seconds, name] of REACHES)
     reach.add(new Option(name, seconds, seconds === 5, seconds === 5));
   reach.addEventListener("change", () => player.set("reach", Number(reach.value)));
+  const tracked = byId("tracked");
+  tracked.addEventListener("change", () => player.showTrails(Number(tracked.value)));
   const drone = byId("drone");
   drone.addEventListener("change", () => player.choose(Number(drone.value)));
   byId("true-size").addEventListener("change", (event) =>
@@ -60,8 +64,9 @@ export function connect(player) {
 /** Fill the controls for an episode: drones, layers, time range. */
 export function fill(player) {
   const { about } = player.episode;
-  const drones = Array.from({ length: about.drones }, (_, k) => new Option(`drone_${k}`, k));
+  const drones = about.detailed.map((one, k) => new Option(`drone_${one}`, k));
   byId("drone").replaceChildren(...drones);
+  writeSampling(about);
   byId("scrub").min = player.episode.start;
   byId("scrub").max = player.episode.duration;
   byId("layers").querySelectorAll("label").forEach((label) => label.remove());
@@ -77,6 +82,20 @@ export function fill(player) {
     label.append(box, text);
     byId("layers").append(label);
   }
+}
+
+/** List how many drones may have trails, and write what a page of a large swarm contains. */
+function writeSampling({ detailed, drones, every }) {
+  const counts = [...TRACKED.filter((one) => one < detailed.length), detailed.length];
+  byId("tracked").replaceChildren(...counts.map((one) => new Option(one, one)));
+  byId("tracked").value = detailed.length;
+  byId("all").textContent = `of ${drones} drones`;
+  const sampling = byId("sampling");
+  sampling.hidden = detailed.length === drones;
+  const rows = every > 1 ? `, every ${every} decisions` : "";
+  sampling.textContent =
+    `${drones} drones by their positions${rows}; ` +
+    `${detailed.length} of them also with attitudes, trails, goals and plots.`;
 }
 
 function press(event, player, speed) {

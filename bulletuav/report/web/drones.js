@@ -14,11 +14,12 @@ import {
   Quaternion,
   Vector3,
 } from "./three.module.min.js";
-import { Lines, Rings, Trails } from "./lines.js";
+import { Discs, Lines, Rings, Trails } from "./lines.js";
 import { hue, joined, pose, shapeGeometry, writePose } from "./shapes.js";
 
 const CYLINDER = 1; // kind in geometry/shapes.py
-const SMALLEST = { drone: 26, goal: 9, contact: 9 }; // minimum sizes, pixels
+const SMALLEST = { drone: 26, goal: 9, contact: 9, disc: 4 }; // minimum sizes, pixels
+const CROWDED = 13; // minimum size of drones with details among others, pixels
 const TURNS = 3; // displayed revolutions per second of a propeller at 1,000 rad/s: slow enough to be visible
 const GREY = new Color(0.5, 0.5, 0.5);
 const MOST_CONTACTS = 256;
@@ -149,21 +150,24 @@ export class Drones extends Group {
     super();
     this.episode = episode;
     const { about } = episode;
-    const { drones, airframes, airframe_of: kinds, colours } = about;
-    this.count = drones;
-    this.scales = new Float32Array(drones).fill(1);
+    const { airframes, airframe_of: kinds, colours } = about;
+    this.count = episode.detailed;
+    this.scales = new Float32Array(this.count).fill(1);
+    this.smallest = this.count < about.drones ? CROWDED : SMALLEST.drone;
     this.fleets = airframes.map(
       (one, kind) =>
         new Fleet(
           one,
-          [...kinds.keys()].filter((k) => kinds[k] === kind),
+          [...kinds.keys()].filter((k) => kinds[k] === kind && k < this.count),
           colours,
         ),
     );
     this.sizes = kinds.map((kind) => 2 * airframes[kind].radius);
     this.trails = new Trails(episode);
-    this.rings = new Rings(drones, 0.5 * about.d_safe);
-    this.stems = new Lines(drones + 1, 1, 0.6);
+    this.rings = new Rings(this.count, 0.5 * about.d_safe);
+    this.stems = new Lines(this.count + 1, 1, 0.6);
+    const widest = 2 * Math.max(...airframes.map((one) => one.radius));
+    this.crowd = new Discs(episode.position, this.count, widest, SMALLEST.disc);
     this.goals = instances(
       new OctahedronGeometry(1),
       new MeshLambertMaterial(),
@@ -177,22 +181,33 @@ export class Drones extends Group {
       false,
     );
     this.hues = colours.map((one) => new Color(one));
-    this.add(...this.fleets, this.trails, this.rings, this.stems, this.goals, this.contacts);
+    this.add(...this.fleets, this.crowd, this.trails, this.rings, this.stems, this.goals, this.contacts);
   }
 
   /** Update to the episode's time; `pixel(x, y, z)` returns the size of a pixel at a point, m. */
   update({ pixel, seconds, reach, chosen, trueSize }) {
     const { position: p } = this.episode;
     for (let k = 0; k < this.count; k += 1) {
-      const least = SMALLEST.drone * pixel(p[3 * k], p[3 * k + 1], p[3 * k + 2]);
+      const least = this.smallest * pixel(p[3 * k], p[3 * k + 1], p[3 * k + 2]);
       this.scales[k] = trueSize ? 1 : Math.max(1, least / this.sizes[k]);
     }
     for (const fleet of this.fleets) fleet.update(this.episode, this.scales, seconds);
+    this.placeCrowd();
     this.trails.update(reach);
     this.placeRings();
     this.placeStems(chosen);
     this.placeGoals(pixel);
     this.placeContacts(pixel);
+  }
+
+  /** Show the drones without attitudes as discs. */
+  placeCrowd() {
+    for (let k = this.count; k < this.episode.about.drones; k += 1) {
+      if (!this.episode.flies(k)) this.crowd.put(k, GREY, 0.6);
+      else if (this.episode.inConflict(k)) this.crowd.put(k, this.palette.conflict, 2);
+      else this.crowd.put(k, this.hues[k], 1);
+    }
+    this.crowd.show();
   }
 
   placeRings() {

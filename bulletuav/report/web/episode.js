@@ -6,6 +6,8 @@ export class Episode {
     const { about } = payload;
     this.payload = payload;
     this.about = about;
+    // Drones with attitude, track, goal and plots, the first ones; live pages have all
+    this.detailed = about.detailed.length;
     this.read();
     this.start = this.times[0];
     this.period = about.rows > 1 ? this.times[1] - this.start : 1;
@@ -26,7 +28,12 @@ export class Episode {
   sample(time) {
     const last = this.about.rows - 1;
     this.time = Math.min(Math.max(time, this.start), this.duration);
-    const place = Math.min((this.time - this.start) / this.period, last);
+    let place = Math.min((this.time - this.start) / this.period, last);
+    // The last interval of sampled rows may be shorter.
+    if (place > last - 1 && last > 0) {
+      const before = this.times[last - 1];
+      place = last - 1 + Math.max(0, this.time - before) / (this.duration - before);
+    }
     // The tolerance prevents rounding from selecting the previous row.
     this.row = Math.min(Math.floor(place + 1e-4), last);
     this.share = Math.max(0, place - this.row);

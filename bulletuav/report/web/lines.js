@@ -8,6 +8,7 @@ import {
   BufferGeometry,
   DoubleSide,
   Mesh,
+  Points,
   ShaderMaterial,
   Vector2,
 } from "./three.module.min.js";
@@ -67,11 +68,12 @@ void main() {
 const CORNERS = [0, -1, 1, -1, 0, 1, 1, 1]; // of a line: coordinate along and across
 const TRIANGLES = [0, 2, 1, 1, 2, 3];
 const PARTS = ["start", "finish", "tint", "when"]; // attributes of a line
-const shared = { size: { value: new Vector2(1, 1) } };
+const shared = { size: { value: new Vector2(1, 1) }, ratio: { value: 1 } };
 
-/** Set the size of the canvas for all lines, pixels. */
-export function setLineSize(width, height) {
+/** Set the size of the canvas for all lines and points, pixels, and device pixels per pixel. */
+export function setLineSize(width, height, ratio) {
   shared.size.value.set(width, height);
+  shared.ratio.value = ratio;
 }
 
 function lineMaterial(vertexShader, width, opacity, more = {}) {
@@ -198,16 +200,72 @@ export class Rings extends Mesh {
   }
 }
 
-/** Trails of all drones: segments in chronological order, of which the recent ones are drawn. */
+const POINT_VERTEX = `
+attribute vec4 tint;
+uniform vec2 size;
+uniform float ratio;
+uniform float least;
+uniform float diameter;
+varying vec3 hue;
+void main() {
+  gl_Position = projectionMatrix * viewMatrix * vec4(position, 1.0);
+  float seen = 0.5 * diameter * projectionMatrix[1][1] * size.y / gl_Position.w;
+  hue = tint.rgb;
+  // The fourth component is a factor of the size, of which 1 is 1 / 2.
+  gl_PointSize = 2.0 * tint.a * ratio * max(least, seen);
+}`;
+const POINT_FRAGMENT = `
+varying vec3 hue;
+void main() {
+  if (length(gl_PointCoord - 0.5) > 0.5) discard;
+  gl_FragColor = vec4(hue, 1.0);
+  #include <colorspace_fragment>
+}`;
+
+/** Discs of a diameter in m at positions that the caller changes, at least `least` pixels wide. */
+export class Discs extends Points {
+  constructor(places, first, diameter, least) {
+    const geometry = new BufferGeometry();
+    geometry.setAttribute("position", new BufferAttribute(places, 3));
+    const tint = new BufferAttribute(new Uint8Array((4 * places.length) / 3), 4, true);
+    geometry.setAttribute("tint", tint);
+    geometry.setDrawRange(first, places.length / 3 - first);
+    const uniforms = { ...shared, least: { value: least }, diameter: { value: diameter } };
+    const shaders = { vertexShader: POINT_VERTEX, fragmentShader: POINT_FRAGMENT };
+    super(geometry, new ShaderMaterial({ uniforms, ...shaders }));
+    this.frustumCulled = false;
+    this.tint = tint;
+  }
+
+  /** Set colour and size, as a factor up to 2, of a disc. */
+  put(k, colour, factor) {
+    this.tint.setXYZW(k, colour.r, colour.g, colour.b, 0.5 * factor);
+  }
+
+  /** Draw the discs at their present positions. */
+  show() {
+    this.tint.needsUpdate = true;
+    this.geometry.attributes.position.needsUpdate = true;
+  }
+}
+
+/** Trails of drones: segments in chronological order, of which the recent ones are drawn. */
 export class Trails extends Lines {
   constructor(episode) {
-    const { rows, drones, colours } = episode.about;
-    super(Math.max(1, (rows - 1) * drones), 2);
+    const { rows, colours } = episode.about;
+    super(Math.max(1, (rows - 1) * episode.detailed), 2);
     this.episode = episode;
+    this.drones = episode.detailed;
     this.hues = colours.map((one) => new Color(one));
     // The segments of row k start at `begins[k]`.
     this.begins = [];
     this.total = 0;
+    this.read();
+  }
+
+  /** Show the trails of the first `drones` drones only. */
+  restrict(drones) {
+    [this.drones, this.begins, this.total] = [drones, [], 0];
     this.read();
   }
 
@@ -219,13 +277,13 @@ export class Trails extends Lines {
     let first = this.total;
     for (let row = this.begins.length; row + 1 < about.rows; row += 1) {
       this.begins.push(this.total);
-      if (this.total + about.drones > this.most) {
-        this.grow(2 * (this.total + about.drones));
+      if (this.total + this.drones > this.most) {
+        this.grow(2 * (this.total + this.drones));
         first = 0;
       }
       position.between(row, 0, from);
       position.between(row + 1, 0, to);
-      for (let k = 0; k < about.drones; k += 1) {
+      for (let k = 0; k < this.drones; k += 1) {
         if (row >= end[k]) continue;
         this.put(this.total, from, 3 * k, to, 3 * k, this.hues[k], times[row], times[row + 1]);
         this.total += 1;

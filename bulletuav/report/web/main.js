@@ -86,6 +86,7 @@ class Player {
     const hasContacts = payload.grows || payload.array("contact_row").length;
     this.layers = {
       trails: this.drones.trails,
+      crowd: this.episode.detailed < about.drones && this.drones.crowd,
       rings: this.drones.rings,
       stems: this.drones.stems,
       goals: about.goals && this.drones.goals,
@@ -100,7 +101,7 @@ class Player {
     this.plots = new Plots(this.episode, byId("charts"), (time) => this.seek(time));
     fill(this);
     this.setTheme(this.theme);
-    this.choose(Math.min(this.chosen, about.drones - 1));
+    this.choose(Math.min(this.chosen, this.episode.detailed - 1));
     document.title = document.querySelector("h1").textContent = about.title;
     if (payload.grows) this.goLive();
   }
@@ -158,8 +159,8 @@ class Player {
   }
 
   choose(drone) {
-    const { drones } = this.episode.about;
-    this.chosen = (drone + drones) % drones;
+    const { detailed } = this.episode;
+    this.chosen = (drone + detailed) % detailed;
     byId("drone").value = this.chosen;
     this.plots.draw(this.chosen);
     this.dirty = true;
@@ -180,6 +181,12 @@ class Player {
   pan(right, forward) {
     this.follow(false);
     this.view.move(right, forward);
+  }
+
+  /** Show the trails of the first `drones` drones. */
+  showTrails(drones) {
+    this.drones.trails.restrict(drones);
+    this.dirty = true;
   }
 
   showLayer(name, on) {
@@ -246,7 +253,7 @@ class Player {
     this.size = [width, height];
     this.renderer.setPixelRatio(ratio);
     this.renderer.setSize(width, height, false);
-    setLineSize(width, height);
+    setLineSize(width, height, ratio);
     // The panel is on the right, below in narrow windows, or hidden.
     const panel = byId("side").getBoundingClientRect();
     const isBelow = panel.width > 0.5 * width;
@@ -268,7 +275,7 @@ class Player {
     // A drag is not a click.
     if (Math.hypot(event.clientX - this.pressed[0], event.clientY - this.pressed[1]) > 4) return;
     let [best, nearest] = [-1, PICK];
-    for (let k = 0; k < this.episode.about.drones; k += 1) {
+    for (let k = 0; k < this.episode.detailed; k += 1) {
       const at = this.project(k);
       const away = at ? Math.hypot(at[0] - event.clientX, at[1] - event.clientY) : Infinity;
       if (away < nearest) [best, nearest] = [k, away];

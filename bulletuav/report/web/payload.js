@@ -65,7 +65,9 @@ export class Payload {
 
 /** Decode the text of `Payload.text` in Python. */
 export async function readPayload(text) {
-  const bytes = Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
+  const letters = atob(text);
+  const bytes = new Uint8Array(letters.length);
+  for (let k = 0; k < letters.length; k += 1) bytes[k] = letters.charCodeAt(k);
   const whole = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate"));
   return new Payload(await new Response(whole).arrayBuffer());
 }
