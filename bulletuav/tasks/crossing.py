@@ -13,7 +13,13 @@ from bulletuav.tasks.goal_flight import (
     FlightConfig,
     GoalFlight,
 )
-from bulletuav.tasks.parts.airspace import ROOM, AirspaceOptions, clearance, require_margin
+from bulletuav.tasks.parts.airspace import (
+    LARGE_SWARM,
+    ROOM,
+    AirspaceOptions,
+    clearance,
+    require_margin,
+)
 from bulletuav.tasks.parts.difficulties import AIRSPACE_DIFFICULTIES
 from bulletuav.tasks.parts.teams import team_sizes
 
@@ -27,7 +33,7 @@ class CrossingConfig(AirspaceOptions, FlightConfig):
 
     Attributes:
         half_length: Distance of a team's first rank from the centre at the start, m; larger for
-            teams with more columns than `lanes`.
+            teams of more than 256 drones whose formations are too wide for it.
         altitude_spread: Range of the drones' altitudes, centred at `altitude`, m.
         lanes: Number of columns of a team's formation; teams that would have more than 100 ranks
             have more columns.
@@ -119,8 +125,8 @@ class Crossing(GoalFlight[CrossingConfig]):
         largest = max(self._num_north, east)
         self._lanes = max(config.lanes, -(-largest // MAX_RANKS))
         self._half_length = config.half_length
-        if self._lanes > config.lanes:
-            needed = self._lanes * config.lane_spacing / 2 + config.jitter + clear
+        if self._lanes > config.lanes or drones > LARGE_SWARM:
+            needed = min(largest, self._lanes) * config.lane_spacing / 2 + config.jitter + clear
             self._half_length = max(config.half_length, ROOM * needed)
         self._start, self._goal = self._places()
         # Depth and half width of the larger formation, m

@@ -203,9 +203,13 @@ def test_airspaces_grow_with_large_swarms(task, drones):
     aviary.close()
 
 
-def test_ten_thousand_drones_cross():
-    aviary = bulletuav.Aviary("crossing", num_drones=10_000, dynamics="point_mass")
-    assert aviary.task.arena_high[0] < 2000
+@pytest.mark.parametrize(
+    ("difficulty", "drones"), [("easy", 300), ("easy", 2500), ("medium", 10_000), ("hard", 10_000)]
+)
+def test_large_swarms_cross_at_any_difficulty(difficulty, drones):
+    options = {"dynamics": "point_mass", "difficulty": difficulty}
+    aviary = bulletuav.Aviary("crossing", num_drones=drones, **options)
+    assert aviary.task.arena_high[0] < 2048
     aviary.close()
 
 
