@@ -60,6 +60,8 @@ BODY_BYTES, OBSTACLE_BYTES, LAYOUT_BYTES = 100_000, 5_000, 100_000
 Most of the memory is in the engine; measured.
 """
 NUMBER_BYTES = 8
+HEARD_NUMBERS = 5
+"""A third of the numbers that a drone keeps of each other one: message, its age and copy, chances"""
 CAMERA_OPTIONS = {
     "camera_range": DEPTH_IMAGES,
     "camera_depth": DEPTH_IMAGES,
@@ -288,13 +290,21 @@ class EnvSpec:
         late = round(self.setup.longest_picture_delay / self.setup.period)
         stored = cameras * (1 + late) if images else 0
         pictures = stored * math.prod(self.options.camera_size)
-        others = drones if {"neighbours", "all_neighbours"} & self._names else 0
+        others = drones if "all_neighbours" in self._names else 0
+        others += HEARD_NUMBERS * drones if self._has_radio() else 0
         pictures *= 1 + self.options.frame_stack
         features = sum(one.low.size for one in self.observer.kinds)
         observed = 2 * features + pictures + 3 * others + 2 * task.num_targets
         obstacles = len(task.obstacles()) + count_bodies(self.options.bodies)
         things = OBSTACLE_BYTES * obstacles + LAYOUT_BYTES * len(task.layouts())
         return (BODY_BYTES + NUMBER_BYTES * observed) * drones + self.state_bytes() + things
+
+    def _has_radio(self) -> bool:
+        """Return True if each drone keeps what it hears from each other drone."""
+        radio = self.sensors["radio"]
+        names = {f"{radio.prefix}{key}" for key in radio.uncertain}
+        is_uncertain = not names.isdisjoint(self.options.randomization.active)
+        return is_uncertain or bool(self.setup.wanted.intersection(radio.gives))
 
     def state_bytes(self) -> int:
         """Return the bytes that the arrays of the state need for a world.

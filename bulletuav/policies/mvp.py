@@ -10,6 +10,7 @@ import math
 import numpy as np
 
 from bulletuav.compiled.kernel import allocating, func, kernel
+from bulletuav.geometry.grid import ROUNDING
 from bulletuav.geometry.rotation import Vec3, dot, plus, vec3
 from bulletuav.policies.avoidance import Avoidance
 from bulletuav.policies.half_spaces import (
@@ -25,6 +26,8 @@ from bulletuav.policies.half_spaces import (
 from bulletuav.policies.linear_program import DEPTH, solve_velocity
 from bulletuav.policies.traffic import Traffic
 from bulletuav.registry import register
+from bulletuav.tasks.observations.observer import Observation
+from bulletuav.vehicle.swarm import Swarm
 
 
 @register("policy")
@@ -37,6 +40,13 @@ class ModifiedVoltagePotential(Avoidance):
     """
 
     name = "mvp"
+
+    def traffic(self, observations: Observation, swarm: Swarm) -> Traffic:
+        """Return the traffic of all drones that may come into conflict; see `Avoidance.traffic`."""
+        fastest = math.sqrt(float((swarm.velocity**2).sum(axis=-1).max()))
+        reach = self.parameters.horizon * (self.parameters.max_speed + fastest)
+        self.max_distance = (1 + ROUNDING) * (self.parameters.separation + reach)
+        return super().traffic(observations, swarm)
 
     def avoid(
         self, traffic: Traffic, preferred: np.ndarray, parameters: AvoidanceParameters

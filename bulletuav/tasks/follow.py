@@ -20,7 +20,7 @@ from bulletuav.tasks.parts.holding import Holding
 from bulletuav.tasks.parts.safety import Safety
 from bulletuav.tasks.parts.wandering import Wanderer
 from bulletuav.tasks.rewards.station import speed_to_goal
-from bulletuav.tasks.starts import check_overlap, check_start_distance
+from bulletuav.tasks.starts import check_start_distance
 
 RED = (0.75, 0.2, 0.15, 1.0)
 """Colour of targets, RGBA"""
@@ -205,7 +205,14 @@ class Follow(Task[FollowConfig]):
         radius = self.context.collision_radius
         # Worst case: an offset on all three axes
         largest_offset = config.start_offset * np.sqrt(3)
-        check_overlap(self._station, radius + largest_offset)
+        drones, needed = self.context.num_drones, 2 * (radius + largest_offset)
+        between = 2 * config.distance * sin(np.pi / max(drones, 2))
+        if drones > 1 and between <= needed:
+            raise ValueError(
+                f"{drones} stations on a circle with distance {config.distance:g} m from the "
+                f"target are {between:.3g} m apart, and more than {needed:.3g} m is needed: raise "
+                f"distance, or lower start_offset or num_drones"
+            )
         nearest = float(np.linalg.norm(self._station, axis=1).min()) - largest_offset
         if nearest <= target.body.radius + radius:
             raise ValueError(

@@ -4,6 +4,8 @@ import math
 
 import numpy as np
 import pytest
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial.distance import cdist
 
 from bulletuav.tasks.parts import flocks
 
@@ -70,9 +72,6 @@ def test_drones_that_are_not_counted_link_none():
 
 
 def test_groups_agree_with_scipy():
-    from scipy.sparse.csgraph import connected_components
-    from scipy.spatial.distance import cdist
-
     rng = np.random.default_rng(1)
     position = rng.uniform(0, 100, (6, 60, 3))
     found = flocks.find_groups(position, np.ones((6, 60), dtype=bool), 18.0)
@@ -81,6 +80,21 @@ def test_groups_agree_with_scipy():
         count, label = connected_components(cdist(places, places) <= 18.0)
         assert len(np.unique(found[w])) == count > 1
         assert sizes[w].tolist() == np.bincount(label)[label].tolist()
+
+
+@pytest.mark.parametrize("reach", [4.0, 9.0, 40.0])
+def test_groups_of_large_swarms_are_those_of_all_pairs(reach):
+    rng = np.random.default_rng(2)
+    position = rng.uniform(0, 60, (2, 300, 3))
+    counts = rng.random((2, 300)) < 0.9
+    found = flocks.find_groups(position, counts, reach)
+    for w in range(2):
+        counted = np.flatnonzero(counts[w])
+        near = cdist(position[w, counted], position[w, counted]) <= reach
+        _, group = connected_components(near)
+        first = [counted[np.flatnonzero(group == own)[0]] for own in group]
+        np.testing.assert_array_equal(found[w, counted], first)
+    assert (found[~counts] == flocks.NO_GROUP).all()
 
 
 def test_connectivity_of_one_drone_and_none():

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from bulletuav.envs.aviary import Aviary
 from bulletuav.policies.avoidance import Avoidance
 from bulletuav.policies.flocking import Vasarhelyi
 from bulletuav.policies.traffic import Traffic
@@ -19,6 +20,11 @@ class FlockOracle(Vasarhelyi):
 
     name = "flock_oracle"
     reads_swarm = True
+
+    def __init__(self, aviary: Aviary) -> None:
+        """Read the link range of the task; see `FlockPolicy`."""
+        super().__init__(aviary)
+        self.max_distance = self.rules.link_range
 
     def traffic(self, observations: Observation, swarm: Swarm) -> Traffic:
         """Return the true traffic of linked drones; see `Avoidance.traffic`."""

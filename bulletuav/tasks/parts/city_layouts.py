@@ -426,6 +426,10 @@ class CityLayouts(Part):
             (count, 2) m; fewer if the others were not found.
         """
         low, high = distance
+        # Discs of diameter `spacing` around the positions cannot be denser than a hexagonal lattice
+        ring = math.pi * ((high + spacing / 2) ** 2 - max(low - spacing / 2, 0.0) ** 2)
+        if count * math.pi / 4 * spacing**2 > math.pi / math.sqrt(12) * ring:
+            return np.zeros((0, 2))
         half = self._cells[layout] / 2
         raster = self._raster[layout]
         gap = np.sqrt(((raster - centre[:2]) ** 2).sum(axis=1))

@@ -14,7 +14,15 @@ import numpy as np
 
 from bulletuav.compiled.kernel import allocating, func
 from bulletuav.geometry.closest_approach import offset
-from bulletuav.geometry.rotation import dot, vec3
+from bulletuav.geometry.grid import (
+    MIN_POINTS,
+    cells_around,
+    fill_grid,
+    make_point_grid,
+    num_rows,
+    row_items,
+)
+from bulletuav.geometry.rotation import dot, point, vec3
 from bulletuav.tasks.frame import Frame
 
 NO_GROUP = -1
@@ -70,10 +78,20 @@ def measure_order(direction: np.ndarray, counts: np.ndarray) -> np.ndarray:
 
 @func
 def _find_root(group: np.ndarray, w: int, i: int) -> int:
-    """Return the first drone of a drone's group."""
+    """Return the first drone of a drone's group, and shorten the path to it."""
     while group[w, i] != i:
+        group[w, i] = group[w, group[w, i]]
         i = group[w, i]
     return i
+
+
+@func
+def _link(position: np.ndarray, reach: float, group: np.ndarray, w: int, i: int, j: int) -> None:
+    """Join the groups of two drones if they are within `reach`, m; the lower index is the root."""
+    gap = offset(position, w, i, j)
+    if dot(gap, gap) <= reach * reach:
+        one, two = _find_root(group, w, i), _find_root(group, w, j)
+        group[w, max(one, two)] = min(one, two)
 
 
 @allocating
@@ -90,18 +108,29 @@ def find_groups(position: np.ndarray, counts: np.ndarray, reach: float) -> np.nd
     """
     drones = counts.shape[1]
     group = np.full(counts.shape, NO_GROUP)
+    grid = make_point_grid(drones if drones >= MIN_POINTS else 0)
     for w in range(counts.shape[0]):
+        for i in range(drones):
+            if counts[w, i]:
+                group[w, i] = i
+        by_grid = drones >= MIN_POINTS and reach < np.inf
+        if by_grid:
+            grid.place[:] = position[w]
+            by_grid = fill_grid(grid, counts, w)
         for i in range(drones):
             if not counts[w, i]:
                 continue
-            group[w, i] = i
+            if by_grid:
+                box = cells_around(grid, point(grid.place, i), reach + grid.sizes[1])
+                for row in range(num_rows(box)):
+                    first, last = row_items(grid, box, row)
+                    for m in range(first, last):
+                        if grid.item[m] < i:
+                            _link(position, reach, group, w, i, grid.item[m])
+                continue
             for j in range(i):
                 if counts[w, j]:
-                    gap = offset(position, w, i, j)
-                    if dot(gap, gap) <= reach * reach:
-                        # The lower index stays the root
-                        one, two = _find_root(group, w, i), _find_root(group, w, j)
-                        group[w, max(one, two)] = min(one, two)
+                    _link(position, reach, group, w, i, j)
         for i in range(drones):
             if counts[w, i]:
                 group[w, i] = _find_root(group, w, i)
