@@ -61,7 +61,7 @@ Most of the memory is in the engine; measured.
 """
 NUMBER_BYTES = 8
 HEARD_NUMBERS = 5
-"""A third of the numbers that a drone keeps of each other one: message, its age and copy, chances"""
+"""A third of the numbers that a drone keeps of each other one: message, age, copy, chances"""
 CAMERA_OPTIONS = {
     "camera_range": DEPTH_IMAGES,
     "camera_depth": DEPTH_IMAGES,

@@ -64,18 +64,23 @@ def take_sample(recording: Recording, about: dict[str, Any]) -> Sample:
     order = np.append(detailed, np.delete(np.arange(drones), detailed))
 
     def states(values: np.ndarray) -> np.ndarray:
-        return values[row][:, detailed[: values.shape[1]]]
+        taken: np.ndarray = values[row][:, detailed[: values.shape[1]]]
+        return taken
 
     def decisions(values: np.ndarray) -> np.ndarray:
-        return values[row[1:] - 1][:, detailed]
+        taken: np.ndarray = values[row[1:] - 1][:, detailed]
+        return taken
 
     nearest = np.minimum.reduceat(recording.separation, row[:-1], axis=0)
-    changed = {name: states(getattr(recording, name)) for name in (*PER_DRONE, "goal")}
-    own = {name: getattr(recording, name)[row] for name in ("time", "obstacle", "target", "seen")}
+    changed: dict[str, Any] = {
+        name: states(getattr(recording, name)) for name in (*PER_DRONE, "goal")
+    }
+    changed |= {
+        name: getattr(recording, name)[row] for name in ("time", "obstacle", "target", "seen")
+    }
     taken = dataclasses.replace(
         recording,
         **changed,
-        **own,
         position=recording.position[row][:, order],
         alive=recording.alive[row][:, order],
         separation=nearest[:, order],

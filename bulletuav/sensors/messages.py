@@ -298,7 +298,8 @@ def _deliver(
                 j = grids[1].item[m] if is_limited else m
                 if i == j or not (flying[j] and sent[j]):
                     continue
-                if _distance(position, j, position, i) > limit or (loss > 0.0 and chance[k, j] < loss):
+                is_lost = loss > 0.0 and chance[k, j] < loss
+                if is_lost or _distance(position, j, position, i) > limit:
                     continue
                 received[i] += 1
                 for slot in range(near.shape[1]):

@@ -1,5 +1,8 @@
 """Pages of large swarms: which drones and rows are in them."""
 
+import dataclasses
+import itertools
+
 import numpy as np
 import pytest
 
@@ -35,12 +38,7 @@ def test_first_indices_are_spread_evenly():
 def test_small_swarms_are_whole(swarm):
     recording, about = swarm
     few = {**about, "airframe_of": about["airframe_of"][:5]}
-    one = type(recording)(
-        **{
-            name: getattr(recording, name)[:, :5] if name == "position" else getattr(recording, name)
-            for name in recording.__dataclass_fields__
-        }
-    )
+    one = dataclasses.replace(recording, position=recording.position[:, :5])
     sample = take_sample(one, few)
     assert sample.recording is one
     assert sample.drones == [0, 1, 2, 3, 4]
@@ -63,7 +61,7 @@ def test_all_positions_and_conflicts_of_large_swarms_are_kept(swarm, monkeypatch
     for name in ("quaternion", "velocity", "goal"):
         expected = getattr(recording, name)[rows][:, sample.drones]
         np.testing.assert_array_equal(getattr(taken, name), expected)
-    for k, (first, last) in enumerate(zip(rows, rows[1:], strict=False)):
+    for k, (first, last) in enumerate(itertools.pairwise(rows)):
         nearest = recording.separation[first:last].min(axis=0)[order]
         np.testing.assert_array_equal(taken.separation[k], nearest)
         expected = recording.reward[last - 1][sample.drones]
