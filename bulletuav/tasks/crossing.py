@@ -25,6 +25,8 @@ from bulletuav.tasks.parts.teams import team_sizes
 
 MAX_RANKS = 100
 """Maximum number of ranks of a team's formation"""
+MAX_DEPTH = 1000.0
+"""Maximum depth of the formations of a large swarm, m"""
 
 
 @dataclass(frozen=True)
@@ -35,8 +37,8 @@ class CrossingConfig(AirspaceOptions, FlightConfig):
         half_length: Distance of a team's first rank from the centre at the start, m; larger for
             teams of more than 256 drones whose formations are too wide for it.
         altitude_spread: Range of the drones' altitudes, centred at `altitude`, m.
-        lanes: Number of columns of a team's formation; teams that would have more than 100 ranks
-            have more columns.
+        lanes: Number of columns of a team's formation; teams that would have more than 100 ranks,
+            or ranks over 1 km in more than 256 drones, have more columns.
         lane_spacing: Distance between columns, and between ranks, m.
         teams: Number of drones that fly north, and east; by default half each, north the larger
             half.
@@ -123,7 +125,10 @@ class Crossing(GoalFlight[CrossingConfig]):
         self._num_north, east = team_sizes(config.teams, drones, usual)
         self.team[self._num_north :] = 1
         largest = max(self._num_north, east)
-        self._lanes = max(config.lanes, -(-largest // MAX_RANKS))
+        most = MAX_RANKS
+        if drones > LARGE_SWARM:
+            most = max(1, min(MAX_RANKS, int(MAX_DEPTH / config.lane_spacing)))
+        self._lanes = max(config.lanes, -(-largest // most))
         self._half_length = config.half_length
         if self._lanes > config.lanes or drones > LARGE_SWARM:
             needed = min(largest, self._lanes) * config.lane_spacing / 2 + config.jitter + clear
