@@ -19,10 +19,11 @@ CARRY_HEIGHT = 0.6
 """Height above the ground at which loads are carried, m"""
 LIFTED = 0.25
 """Height at which a load starts to move to its place, m"""
-NEAR, THERE = 0.5, 0.08
-"""Horizontal distances from the place at which a load is lowered, and on the ground, m"""
-PLACED = 0.16
-"""Horizontal distance from the place within which a load on the ground stays there, m"""
+NEAR = 0.5
+"""Horizontal distance from the place at which a load is lowered, m"""
+THERE, PLACED = 2.5, 1.25
+"""Ratios of the radius of the place to horizontal distances from it: from the smaller distance on
+loads are lowered to the ground, and within the larger one loads on the ground stay there"""
 LOAD_GAIN, SPEED_GAIN = 0.6, 0.4
 """Gains from the offset of a load to its speed, 1/s, and from its speed error to that of drones"""
 INTEGRAL_GAIN, MAX_INTEGRAL = 0.25, 1.5
@@ -79,6 +80,8 @@ class Carrier(Policy):
         super().__init__(aviary)
         self.task = require_supported_task(self, Transport)
         require_blocks(self.name, aviary, NEEDED)
+        radius = self.task.config.place_radius
+        self._there, self._placed = radius / THERE, radius / PLACED
         self._drift = np.zeros((*aviary.alive.shape, 2))
 
     def reset(self, mask: np.ndarray) -> None:
@@ -87,20 +90,24 @@ class Carrier(Policy):
 
     def act(self, observations: Observation, swarm: Swarm) -> np.ndarray:
         """Command velocities; see `Policy.act`."""
+        view = self.view(observations, swarm)
+        return self.encoded(limit_norm(self.plan(view), self.aviary.options.max_speed))
+
+    def view(self, observations: Observation, swarm: Swarm) -> LoadView:
+        """Return what each drone observes of the load."""
         seen = unpack_blocks(self.aviary, observations)
-        view = LoadView(
+        return LoadView(
             offset=seen["load_goal_offset"],
             position=seen["load"][..., :3],
             velocity=seen["load"][..., 3:6],
             end=seen["cable"][..., :3],
         )
-        return self.encoded(limit_norm(self.plan(view), self.aviary.options.max_speed))
 
     def plan(self, view: LoadView) -> np.ndarray:
         """Return the velocities (W, N, 3) of the drones, m/s."""
         across = horizontal_distance(view.offset)
         height = -view.offset[..., 2]
-        stands = (height < GROUND) & (across < PLACED)
+        stands = (height < GROUND) & (across < self._placed)
         speed = self.load_velocity(view)
         speed[stands] = 0.0
         # Against the swing: towards the speed that the load should have
@@ -123,7 +130,7 @@ class Carrier(Policy):
         """Return the velocity (W, N, 3) that the load should have, m/s: up, across, and down."""
         across = horizontal_distance(view.offset)
         height = -view.offset[..., 2]
-        wanted = CARRY_HEIGHT * np.clip((across - THERE) / (NEAR - THERE), 0.0, 1.0)
+        wanted = CARRY_HEIGHT * np.clip((across - self._there) / (NEAR - self._there), 0.0, 1.0)
         # Lifted before it moves
         is_free = np.clip((height - GROUND) / (LIFTED - GROUND), 0.0, 1.0)
         speed = np.zeros_like(view.offset)

@@ -442,6 +442,8 @@ VASARHELYI = VasarhelyiGains(
 The paper has p_rep 0.13, c_frict 0.05, v_shill 13.6 and a_shill 3.02, for neighbours 25 m apart and
 drones that slow down 37 m before a wall. Here neighbours are 10 m apart, and only some observed.
 """
+LAG = 0.3
+"""Time constant with which drones of `single_integrator` follow velocities of `vasarhelyi`, s"""
 
 
 @register("policy")
@@ -450,13 +452,23 @@ class Vasarhelyi(FlockPolicy):
 
     A shill agent is a virtual drone at the nearest point of a wall or obstacle, which moves away
     from it and with which drones align. That of a moving obstacle has its velocity, too.
+
+    The sum over neighbours corrects differences of velocity by more than their size. Drones that
+    follow velocities with a lag converge nevertheless. In `single_integrator` velocities would
+    alternate from decision to decision, and are therefore filtered by a lag of `LAG`.
     """
 
     name = "vasarhelyi"
 
     def flock_velocities(self, traffic: Traffic) -> np.ndarray:
-        """Return `vasarhelyi_velocities`; see `FlockPolicy`."""
-        return vasarhelyi_velocities(traffic, self.rules, VASARHELYI)
+        """Return `vasarhelyi_velocities`, with a lag where drones have none; see `FlockPolicy`."""
+        wanted: np.ndarray = vasarhelyi_velocities(traffic, self.rules, VASARHELYI)
+        options = self.aviary.options
+        if options.dynamics_name != "single_integrator":
+            return wanted
+        fraction = min(1.0 / (LAG * options.decision_hz), 1.0)
+        wanted = traffic.velocity + fraction * (wanted - traffic.velocity)
+        return wanted
 
 
 @func

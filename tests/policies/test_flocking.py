@@ -128,6 +128,22 @@ def test_numbers_of_vasarhelyi():
     assert ahead[0] == pytest.approx(6 - (gains.v_shill + 6 - brake))
 
 
+def test_vasarhelyi_approaches_velocities_with_a_lag_in_single_integrator():
+    expected = {}
+    for dynamics in ("point_mass", "single_integrator"):
+        aviary = bulletuav.Aviary("flocking", dynamics=dynamics, difficulty="easy")
+        policy = find_policy("vasarhelyi")(aviary)
+        traffic = policy.traffic(aviary.reset(seeds=5), aviary.swarm)
+        wanted = vasarhelyi_velocities(traffic, policy.rules, VASARHELYI)
+        expected[dynamics] = (policy.flock_velocities(traffic), traffic.velocity, wanted)
+        aviary.close()
+    found, _, wanted = expected["point_mass"]
+    np.testing.assert_array_equal(found, wanted)
+    found, own, wanted = expected["single_integrator"]
+    # 10 decisions a second and 0.3 s: a third of the way
+    np.testing.assert_allclose(found, own + (wanted - own) / 3.0, atol=1e-12)
+
+
 def test_numbers_of_olfati_saber():
     gains, sigma = OLFATI_SABER, lambda z: 10 * (math.sqrt(1 + 0.1 * z * z) - 1)
     near = 0.5 * (1 + math.cos(math.pi * (sigma(6) / sigma(15) - 0.2) / 0.8))
@@ -150,9 +166,15 @@ def fly(name, decisions=None, **options):
     return step.info
 
 
-@pytest.mark.parametrize("name", FLOCKS)
-def test_flocks_form(name):
-    info = fly(name)
+@pytest.mark.parametrize(
+    ("name", "dynamics"),
+    [
+        *((name, "point_mass") for name in FLOCKS),
+        *((name, "single_integrator") for name in ("vasarhelyi", "flock_oracle")),
+    ],
+)
+def test_flocks_form(name, dynamics):
+    info = fly(name, dynamics=dynamics)
     assert info["order"].min() > 0.97
     assert info["connectivity"].min() == 1
     assert info["success"].mean() > 0.8

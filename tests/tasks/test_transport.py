@@ -131,6 +131,36 @@ def test_heavy_loads_are_delivered(load_mass):
     assert aviary.scene.memory["delivered"].all()
 
 
+@pytest.mark.parametrize("place_radius", [0.1, 0.15])
+def test_small_places_are_reached(place_radius):
+    aviary = bulletuav.Aviary("transport", 2, num_drones=2, place_radius=place_radius, **WIND)
+    fly(aviary, "carrier", 900, aviary.reset(seeds=3))
+    assert aviary.scene.memory["delivered"].all()
+    assert (aviary.scene.memory["load_distance"] <= place_radius).all()
+    aviary.close()
+
+
+def test_the_oracle_flies_as_the_baseline_does_without_noise():
+    positions = []
+    for policy in ("carrier", "carrier_oracle"):
+        aviary = bulletuav.Aviary("transport", 2, num_drones=4)
+        fly(aviary, policy, 200, aviary.reset(seeds=4))
+        positions.append(aviary.scene.memory[POSITION].copy())
+        aviary.close()
+    # Observations are rounded to single precision
+    np.testing.assert_allclose(positions[0], positions[1], atol=1e-3)
+
+
+def test_noise_of_positions_disturbs_the_baseline_but_not_the_oracle():
+    delivered = {}
+    for policy in ("carrier", "carrier_oracle"):
+        aviary = bulletuav.Aviary("transport", 4, difficulty="extreme", dynamics="rigid_body")
+        fly(aviary, policy, 900, aviary.reset(seeds=7000))
+        delivered[policy] = aviary.scene.memory["delivered"].sum()
+        aviary.close()
+    assert delivered["carrier"] < delivered["carrier_oracle"] == 4
+
+
 def test_drones_that_leave_drop_their_cables():
     aviary = bulletuav.Aviary("transport", 1, num_drones=2, battery_capacity=10.0)
     seen = aviary.reset(seeds=0, charge=[1.0, 0.01])
