@@ -149,7 +149,8 @@ class Flocking(GoalFlight[FlockingConfig]):
     mean direction of motion) is at least 0.9, its own motion is correlated with that of its group
     by 0.9, its speed is at least half of the leader's, and its distance from the leader is at most
     1.3 times the radius of a lattice of all drones with 10 m between neighbours (hard and extreme
-    12 m, and links of 18 m). Without `leader` the last condition is left out.
+    12 m, and links of 18 m). Without `leader` the last condition is left out, but the task is
+    harder: drones disperse unless they look for each other.
 
     Observation, Box(102) per drone with the defaults, in world axes (east, north, up): position,
     velocity, offset to the leader, the leader's velocity, the 6 nearest active drones and obstacles

@@ -186,6 +186,11 @@ def test_a_flock_without_leader_turns_at_the_walls():
     assert not info["collision"].any()
 
 
+def test_the_oracle_gathers_drones_without_a_leader():
+    assert fly("flock_oracle", leader=False)["success"].all()
+    assert fly("vasarhelyi", leader=False)["success"].mean() < 0.5
+
+
 @pytest.mark.parametrize("name", find_task("flocking").shirkers)
 def test_policies_that_avoid_the_task_do_not_succeed(name):
     assert fly(name)["success"].mean() < 0.2
