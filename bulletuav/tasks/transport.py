@@ -178,7 +178,7 @@ class Transport(Task[TransportConfig]):
     Success: the load was released in its place, and the drone had no conflict or collision.
 
     Difficulties: easy has 1 drone, medium 2, hard 4 and extreme 8, with wind from medium on. The
-    noise of measured positions grows from at most 0.1 m at medium to 0.1 to 0.3 m at extreme. Hard
+    noise of measured positions grows from at most 0.1 m at medium to 0.1 to 0.25 m at extreme. Hard
     has places of 0.15 m, and extreme of 0.1 m, with 0.5 kg for each drone on shorter cables.
 
     Infos: `load_distance`, of the load to its place, m; `max_swing`, rad, and `max_tension`, N, of
@@ -229,7 +229,7 @@ class Transport(Task[TransportConfig]):
             "cable_length": 0.8,
             "place_radius": 0.1,
             "turbulence": 4.0,
-            "randomization": {"gps_noise": (0.1, 0.3), "wind": (-2.0, 2.0)},
+            "randomization": {"gps_noise": (0.1, 0.25), "wind": (-2.0, 2.0)},
         },
     }
     observation: ClassVar[tuple[Any, ...]] = (
