@@ -75,8 +75,8 @@ def markdown(rows: list[tuple[str, ...]], arguments: argparse.Namespace) -> str:
         "with",
         "",
         "```sh",
-        f"python benchmarks/missions.py --tasks {arguments.tasks} "
-        f"--episodes {arguments.episodes} --out docs/results/missions",
+        f"python benchmarks/missions.py --episodes {arguments.episodes} "
+        f"--dynamics {arguments.dynamics} --out docs/results/missions",
         "```",
         "",
         f"| {' | '.join(COLUMNS)} |",

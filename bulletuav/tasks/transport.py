@@ -178,8 +178,8 @@ class Transport(Task[TransportConfig]):
     Success: the load was released in its place, and the drone had no conflict or collision.
 
     Difficulties: easy has 1 drone, medium 2, hard 4 and extreme 8, with wind from medium on. The
-    noise of measured positions grows from at most 0.1 m at medium to 0.1 to 0.25 m at extreme. Hard
-    has places of 0.15 m, and extreme of 0.1 m, with 0.5 kg for each drone on shorter cables.
+    noise of measured positions grows from 0.05 m or less at medium to 0.1 to 0.25 m at extreme.
+    Hard has places of 0.15 m, and extreme of 0.1 m, with 0.5 kg for each drone on shorter cables.
 
     Infos: `load_distance`, of the load to its place, m; `max_swing`, rad, and `max_tension`, N, of
     the own cable so far.
@@ -212,7 +212,7 @@ class Transport(Task[TransportConfig]):
         "medium": {
             "num_drones": 2,
             "distance": (6.0, 9.0),
-            "randomization": {"gps_noise": (0.0, 0.1), "wind": (-1.0, 1.0)},
+            "randomization": {"gps_noise": (0.0, 0.05), "wind": (-1.0, 1.0)},
         },
         "hard": {
             "num_drones": 4,
