@@ -26,7 +26,7 @@ SEED = 9000
 FEW = {
     ("flocking", "extreme"): 10,
     ("pad_landing", "medium"): 20,
-    ("pad_landing", "hard"): 20,
+    ("pad_landing", "hard"): 10,
     ("pad_landing", "extreme"): 10,
 }
 """Maximum episodes of slow cases"""
