@@ -13,7 +13,7 @@ from bulletuav.compiled.kernel import allocating, func, kernel
 from bulletuav.control.actions.messages import read_message
 from bulletuav.engine.engine import Engine
 from bulletuav.errors import as_bool, as_int, finite, points_of, shown, unknown
-from bulletuav.geometry.closest_approach import insert_nearest_by_index
+from bulletuav.geometry.closest_approach import insert_nearest
 from bulletuav.geometry.grid import (
     MIN_POINTS,
     WIDENING,
@@ -347,7 +347,7 @@ def _find_nearest(
                 if j != i and flying[j]:
                     between = minus(point(known, j), here)
                     square = dot(between, between)
-                    found = insert_nearest_by_index(near, least, found, j, square)
+                    found = insert_nearest(near, least, found, j, square)
         within = radius - grid.sizes[1]
         is_complete = not by_grid or is_whole(grid, box) or near.size == 0
         if found == near.size and found > 0 and within > 0.0:
