@@ -8,7 +8,9 @@ OPEN = (np.full(3, -np.inf), np.full(3, np.inf))
 TOUCH = ObstacleClearance(body=0.0, margin=0.0, max_distance=100.0)
 
 
-def traffic_of(state, balls=(), box=OPEN, solids=None, alive=None, clear=TOUCH, far=np.inf):
+def traffic_of(
+    state, balls=(), box=OPEN, solids=None, alive=None, clear=TOUCH, far=np.inf, searched=True
+):
     """Traffic of rows of position and velocity, and of balls of position, velocity and radius."""
     position, velocity = np.array(state, float).reshape(-1, 2, 3).transpose(1, 0, 2)[:, None].copy()
     ball = np.array(balls, float).reshape(-1, 7)
@@ -22,6 +24,7 @@ def traffic_of(state, balls=(), box=OPEN, solids=None, alive=None, clear=TOUCH, 
         tabulate_buildings(() if solids is None else (solids,)),
         clear,
         far,
+        searched,
     )
 
 

@@ -39,11 +39,13 @@ class Avoidance(Policy):
         sphere_radius: (K,) distances to maintain from the centres of obstacles, m; 0 for none.
         box: Lower and upper corner (3,) of the arena, m.
         max_distance: Distance beyond which `avoid` ignores other drones, m.
+        searches_drones: Whether `avoid` searches large swarms itself; see `true_traffic`.
     """
 
     actions = ("velocity", "velocity_increment")
     reads_swarm = True
     max_distance = np.inf
+    searches_drones = False
 
     def __init__(self, aviary: Aviary) -> None:
         """Compute the avoidance parameters from the task and the options; see `Policy`."""
@@ -121,6 +123,7 @@ class Avoidance(Policy):
             self._buildings,
             self.clearance,
             self.max_distance,
+            self.searches_drones,
         )
 
     @abstractmethod

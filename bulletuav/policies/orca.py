@@ -46,6 +46,7 @@ class Orca(Avoidance):
     """
 
     name = "orca"
+    searches_drones = True
 
     def __init__(self, aviary: Aviary) -> None:
         """Compute the distance of drones that may conflict; see `Avoidance`."""

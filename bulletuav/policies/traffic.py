@@ -9,16 +9,29 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numba import types
 
+from bulletuav.compiled.deferred import deferred
 from bulletuav.compiled.kernel import allocating, func, kernel
 from bulletuav.geometry.convex import make_hull_shape, make_shape_table
-from bulletuav.geometry.grid import MIN_POINTS
+from bulletuav.geometry.grid import (
+    MIN_POINTS,
+    Grid,
+    cells_around,
+    fill_grid,
+    make_point_grid,
+    num_rows,
+    row_items,
+    sort_ascending,
+)
 from bulletuav.geometry.rotation import Vec3, dot, minus, point, vec3
 from bulletuav.geometry.shapes import distance_from_box
 from bulletuav.geometry.solids import Solids
 
 FACES = 6
 """Number of faces of the arena, the first rows of surfaces"""
+DENSE = 8
+"""Reciprocal of the fraction of points near one of them from which on all are searched"""
 MIN_NORM = 1e-9
 """Minimum length of a vector that has a direction, m"""
 NO_POSITIONS, NO_DRONES = np.zeros((0, 0, 3)), np.zeros((0, 0), dtype=bool)
@@ -28,8 +41,8 @@ NO_POSITIONS, NO_DRONES = np.zeros((0, 0, 3)), np.zeros((0, 0), dtype=bool)
 class Traffic(NamedTuple):
     """Other drones (M), spheres (K) and surfaces (P) around N drones in each of W worlds.
 
-    A large swarm has no rows of other drones, as their number is quadratic. It has the positions of
-    all drones instead, in which policies with a finite range search those that are near.
+    In a large swarm, a policy with a finite range gets rows of near drones only, or no rows, but
+    the positions of all drones to search in, as the number of all rows is quadratic.
 
     Attributes:
         velocity: (W, N, 3) own velocities, m/s.
@@ -129,6 +142,7 @@ def true_traffic(
     buildings: Buildings,
     clearance: ObstacleClearance,
     max_distance: float,
+    is_searched: bool,
 ) -> Traffic:
     """Compute the traffic around each drone from the true state.
 
@@ -141,16 +155,19 @@ def true_traffic(
         buildings: Buildings of all layouts.
         clearance: Distances to static obstacles.
         max_distance: Distance within which other drones are needed, m. If it is finite, a large
-            swarm has no rows of other drones.
+            swarm has rows of these drones only, in the order of their indices.
+        is_searched: Whether a large swarm has `position` and `alive` instead of these rows.
     """
     position, velocity, alive = swarm
     worlds, drones = alive.shape
     count = spheres[2].size
     goal_offset = np.empty((worlds, drones, 3))
-    is_searched = drones >= MIN_POINTS and max_distance < np.inf
-    others = 0 if is_searched else drones
-    offset, other_velocity, known = _other_rows(swarm, others)
-    searched = drones if is_searched else 0
+    is_large = drones >= MIN_POINTS and max_distance < np.inf
+    if is_large and not is_searched:
+        offset, other_velocity, known = _near_others(swarm, max_distance)
+    else:
+        offset, other_velocity, known = _other_rows(swarm, 0 if is_large else drones)
+    searched = drones if is_large and is_searched else 0
     places, used = np.empty((worlds, searched, 3)), np.empty((worlds, searched), np.bool_)
     places[:], used[:] = position[:, :searched], alive[:, :searched]
     sphere = np.empty((worlds, drones, count, 3))
@@ -203,6 +220,86 @@ def _other_rows(
             for j in range(others):
                 known[w, i, j] = alive[w, i] and alive[w, j] and i != j
     return offset, other_velocity, known
+
+
+@deferred(types.Tuple((types.float64[:, :, :, ::1],) * 2 + (types.boolean[:, :, ::1],)))
+@allocating
+def _near_others(
+    swarm: tuple[np.ndarray, np.ndarray, np.ndarray], max_distance: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Compute the same rows as `_other_rows`, but of the drones within a distance only."""
+    position, velocity, alive = swarm
+    worlds, drones = alive.shape
+    grid = make_point_grid(drones)
+    # Number of near drones, and their indices one drone after the other
+    count = np.zeros((worlds, drones), dtype=np.int64)
+    near = np.empty((worlds, 64 * drones), dtype=np.int64)
+    found = np.empty(drones, dtype=np.int64)
+    most = 0
+    for w in range(worlds):
+        for i in range(drones):
+            for k in range(3):
+                grid.place[i, k] = position[w, i, k]
+        if not fill_grid(grid, alive, w):
+            return _other_rows(swarm, drones)
+        total = 0
+        for i in range(drones):
+            if alive[w, i]:
+                count[w, i] = _list_near(grid, alive, w, i, max_distance, found)
+                if total + count[w, i] > near.shape[1]:
+                    wider = np.empty((worlds, 2 * (total + count[w, i])), dtype=np.int64)
+                    wider[:, : near.shape[1]] = near
+                    near = wider
+                near[w, total : total + count[w, i]] = found[: count[w, i]]
+                total += count[w, i]
+                most = max(most, count[w, i])
+    offset = np.zeros((worlds, drones, most, 3))
+    other_velocity = np.zeros((worlds, drones, most, 3))
+    known = np.zeros((worlds, drones, most), np.bool_)
+    for w in range(worlds):
+        total = 0
+        for i in range(drones):
+            for k in range(count[w, i]):
+                j = near[w, total + k]
+                known[w, i, k] = True
+                for axis in range(3):
+                    offset[w, i, k, axis] = position[w, j, axis] - position[w, i, axis]
+                    other_velocity[w, i, k, axis] = velocity[w, j, axis]
+            total += count[w, i]
+    return offset, other_velocity, known
+
+
+@kernel
+def _list_near(
+    grid: Grid, is_used: np.ndarray, w: int, i: int, max_distance: float, found: np.ndarray
+) -> int:
+    """List the points within a distance of point i, ascending; return their number."""
+    here = point(grid.place, i)
+    radius = max_distance + grid.sizes[1]
+    box = cells_around(grid, here, radius)
+    count = 0
+    candidates = 0
+    for row in range(num_rows(box)):
+        first, last = row_items(grid, box, row)
+        candidates += last - first
+    if DENSE * candidates > grid.place.shape[0]:
+        # So many that a loop over all points is faster than to sort them
+        for j in range(grid.place.shape[0]):
+            between = minus(point(grid.place, j), here)
+            if is_used[w, j] and j != i and dot(between, between) <= radius * radius:
+                found[count] = j
+                count += 1
+        return count
+    for row in range(num_rows(box)):
+        first, last = row_items(grid, box, row)
+        for m in range(first, last):
+            j = grid.item[m]
+            between = minus(point(grid.place, j), here)
+            if j != i and dot(between, between) <= radius * radius:
+                found[count] = j
+                count += 1
+    sort_ascending(found, count)
+    return count
 
 
 @allocating

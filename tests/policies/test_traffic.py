@@ -5,6 +5,7 @@ from traffic_around import traffic_of
 
 from bulletuav.geometry.solids import Solids
 from bulletuav.policies.half_spaces import AvoidanceParameters, max_conflict_distance
+from bulletuav.policies.mvp import mvp_velocities
 from bulletuav.policies.orca import orca_velocities
 from bulletuav.policies.traffic import FACES, ObstacleClearance
 
@@ -95,6 +96,28 @@ def test_orca_has_the_bits_of_all_others_with_only_those_that_are_near(kind, dro
         found.append(orca_velocities(traffic, wish, rules))
     assert traffic.known.shape[2] == (drones if drones < 200 else 0)
     np.testing.assert_array_equal(*found)
+
+
+@pytest.mark.parametrize("kind", PLACES)
+def test_mvp_has_the_bits_of_all_others_with_rows_of_those_that_are_near(kind):
+    rng = np.random.default_rng(3)
+    rules = AvoidanceParameters(1.0, 2.0, 1.0, 1.0, 1.0)
+    place = np.round(place_points(rng, kind, 300), 2)
+    speed = rng.uniform(-0.5, 0.5, place.shape)
+    state = np.stack([place, speed], axis=1)
+    alive = rng.random(300) < 0.9
+    # Both fly towards each other for the horizon
+    reach = rules.separation + rules.horizon * 2.0
+    everyone = traffic_of(state, alive=alive)
+    near = traffic_of(state, alive=alive, far=reach, searched=False)
+    distance = np.linalg.norm(everyone.offset, axis=-1)
+    # Rows within the distance, in the order of the indices; rounding is up to the grid
+    kept = everyone.known & (distance <= reach)
+    assert (near.known.sum(axis=-1) >= kept.sum(axis=-1)).all()
+    wish = rng.uniform(-0.5, 0.5, (1, 300, 3))
+    found = [mvp_velocities(one, wish, rules) for one in (everyone, near)]
+    np.testing.assert_array_equal(*found)
+    assert near.position.size == 0
 
 
 def test_orca_searches_all_drones_if_a_position_is_not_finite():
