@@ -53,9 +53,11 @@ from bulletuav.policies.run import (
 from bulletuav.report.verification import ROW, ROW_POLICY
 from bulletuav.tasks import find_task
 from bulletuav.training.campaign import training_processes
-from bulletuav.training.store import CURVE
-from bulletuav.training.trainer import EVALUATION_SEED, train
+from bulletuav.training.store import CURVE, EVALUATION_SEED
+from bulletuav.training.trainer import train
 
+EXAMPLE = "fast_ppo"
+"""Name of the example that trains rows of PPO, not of the algorithm of that name"""
 HERE = Path(__file__).parent
 EXAMPLES = HERE.parent / "examples"
 OUT = HERE.parent / "docs" / "results" / "leaderboard"
@@ -165,7 +167,7 @@ def _train(row: Row, folder: Path) -> None:
     drones = EnvSpec(row.task, 1, options).options.num_drones
     worlds = max(1, settings["slots"] // drones)
     by, model = settings["by"], settings["model"]
-    if by in ALGORITHMS:
+    if by in ALGORITHMS and by != EXAMPLE:
         config = RunConfig(
             row.task,
             by,
@@ -181,8 +183,8 @@ def _train(row: Row, folder: Path) -> None:
         train(config, folder)
         return
     curve = Curve(row, steps, folder)
-    if by == "fast_ppo":
-        fast = _example("fast_ppo")
+    if by == EXAMPLE:
+        fast = _example(EXAMPLE)
         batch = {"task": row.task, "num_envs": worlds}
         plan = fast.Plan(row.task, options, [batch], steps, **model)
         fast.train(plan, row.seed, settings.get("critic") != "own", folder, curve)

@@ -20,7 +20,7 @@ from pathlib import Path
 
 from bulletuav.analysis.evaluation import evaluate
 from bulletuav.policies.run import CHECKPOINTS, CONFIG, POLICY, SHIPPED, RunConfig, shipped_tasks
-from bulletuav.training.trainer import EVALUATION_SEED
+from bulletuav.training.store import EVALUATION_SEED
 
 SEED = 2 * EVALUATION_SEED
 """Seed of the first episode that decides"""

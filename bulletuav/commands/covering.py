@@ -5,6 +5,7 @@ functions and types. `bulletuav compile` and `tools/build_code.py` fly all of `l
 """
 
 import contextlib
+import dataclasses
 import functools
 import itertools
 import tempfile
@@ -26,8 +27,11 @@ from bulletuav.geometry.grid import MIN_POINTS
 from bulletuav.identification.example import fly_example, write_example_log
 from bulletuav.identification.identify import identify
 from bulletuav.policies import find_policy, policy_names
+from bulletuav.policies.run import FAST
 from bulletuav.registry import names
 from bulletuav.tasks import find_task, list_tasks
+from bulletuav.training.schedules import default_run
+from bulletuav.training.trainer import train
 from bulletuav.vehicle.airframes import available_airframes, load_airframe
 
 UNCERTAIN: Mapping[str, Any] = MappingProxyType(
@@ -115,6 +119,7 @@ def list_flights() -> list[CoveringFlight]:
         )
         for dynamics in ("rigid_body", "point_mass")
     ]
+    flown.append(CoveringFlight("training", _train_shortly))
     return [*flown, CoveringFlight("identification", _identify)]
 
 
@@ -246,3 +251,12 @@ def _identify() -> None:
         airframe = load_airframe("cf2x")
         log = write_example_log(Path(folder, "flight.csv"), fly_example(airframe, 4.0, 0))
         identify([log], airframe)
+
+
+def _train_shortly() -> None:
+    """Train a policy in a few decisions of two drones."""
+    config = default_run("crossing", FAST)
+    changes: dict[str, Any] = {"steps": 1, "worlds": 2, "evaluations": 1, "episodes": 1}
+    evaluation = {"horizon": DECISIONS}
+    with tempfile.TemporaryDirectory() as folder:
+        train(dataclasses.replace(config, **changes, evaluation=evaluation), Path(folder))

@@ -23,6 +23,7 @@ from bulletuav.files import replace_file
 from bulletuav.interrupts import TEXT
 from bulletuav.policies.run import (
     CONFIG,
+    FAST,
     INTERFACE,
     POLICY,
     SCENE,
@@ -41,6 +42,7 @@ from bulletuav.training.store import (
     planned_steps,
     training_conditions,
 )
+from bulletuav.training.trainer import train
 
 Result = TypeVar("Result")
 """Result of a function"""
@@ -125,7 +127,7 @@ def base_config(arguments: argparse.Namespace, task: str | None) -> RunConfig:
         file = arguments.config / CONFIG if is_folder else arguments.config
         return RunConfig.read(file, arguments.trust)
     assert task is not None
-    run = default_run(task)
+    run = default_run(task, FAST if arguments.algo == FAST else "ppo")
     # The dynamics of the defaults may not support the given action
     is_kept = "action" not in given_options(arguments)
     options = {name: one for name, one in run.options.items() if is_kept or name != "dynamics"}
@@ -152,9 +154,6 @@ def _with_action(task: str, algo: str, options: dict[str, Any]) -> dict[str, Any
 
 def _train_one(arguments: argparse.Namespace, config: RunConfig) -> None:
     """Train one run in its folder."""
-    # Imported here, as it needs an extra
-    from bulletuav.training.trainer import train
-
     # By default each run has its own folder
     default = Path("training") / f"{config.task}-{config.algo}-{config.seed}"
     out = make_out_folder(arguments.out or default)

@@ -10,10 +10,12 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from safetensors.numpy import load_file
+from safetensors import SafetensorError
+from safetensors.numpy import load_file, save_file
 
 from bulletuav.compiled.functions import tanh
 from bulletuav.errors import reason_of
+from bulletuav.files import whole_file
 from bulletuav.policies.features import Layers, UserFeatures, dense, symlog
 from bulletuav.policies.layers import Affine, Argmax, Clip, Dense, Layer, Relu, SymlogLayer, Tanh
 from bulletuav.policies.swarm_features import NumpySwarmFeatures, find_layout
@@ -77,6 +79,7 @@ _DQN = Actor(
 )
 ACTORS = {
     "ppo": _ON_POLICY,
+    "fast_ppo": _ON_POLICY,
     "a2c": _ON_POLICY,
     "sac": _SAC,
     "td3": _TD3,
@@ -118,6 +121,27 @@ def read_weights(path: Path) -> dict[str, np.ndarray]:
                 f"{path}: {name} contains a number that is not finite; train the policy again"
             )
     return weights
+
+
+def write_weights(
+    arrays: Mapping[str, np.ndarray], path: Path, about: dict[str, str] | None = None
+) -> None:
+    """Write arrays to a safetensors file.
+
+    Args:
+        arrays: Arrays by name.
+        path: The file.
+        about: Metadata.
+
+    Raises:
+        OSError: If the file cannot be written.
+    """
+    with whole_file(path) as part:
+        # safetensors raises its own error, as for a full disk
+        try:
+            save_file(dict(arrays), part, about)
+        except SafetensorError as error:
+            raise OSError(str(error)) from None
 
 
 def is_plain(algorithm: str, model: Mapping[str, Any]) -> bool:

@@ -33,8 +33,10 @@ POLICY = "policy.safetensors"
 """File name of the policy of a run or of a checkpoint"""
 CHECKPOINTS = "checkpoints"
 """Name of the checkpoint folder of a run"""
-ALGORITHMS = ("ppo", "sac", "td3", "dqn", "a2c", "ddpg")
-"""Training algorithms of stable-baselines3"""
+FAST = "fast_ppo"
+"""PPO of `bulletuav.training.fast`, without PyTorch"""
+ALGORITHMS = ("ppo", FAST, "sac", "td3", "dqn", "a2c", "ddpg")
+"""Training algorithms; all but `FAST` are those of stable-baselines3"""
 MASKABLE = "ppo"
 """Algorithm that learns with masks of actions, as MaskablePPO of sb3-contrib"""
 INTERFACE = (
@@ -86,6 +88,19 @@ DEFAULTS: dict[str, dict[str, Any]] = {
         "n_epochs": 5,
         "learning_rate": [1e-3, 1e-5],
         "gamma": 0.99,
+        "policy_kwargs": {"net_arch": [64, 64], "log_std_init": -1.0},
+    },
+    FAST: {
+        "n_steps": 32,
+        "batch_size": 1024,
+        "n_epochs": 4,
+        "learning_rate": [2e-3, 1e-5],
+        "gamma": 0.99,
+        "gae_lambda": 0.95,
+        "clip_range": 0.2,
+        "ent_coef": 0.0,
+        "vf_coef": 0.5,
+        "max_grad_norm": 0.5,
         "policy_kwargs": {"net_arch": [64, 64], "log_std_init": -1.0},
     },
     "a2c": {"n_steps": 16, "learning_rate": 7e-4, "gamma": 0.99},

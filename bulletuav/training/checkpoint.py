@@ -10,12 +10,11 @@ from typing import Any
 import numpy as np
 from gymnasium.spaces import Box
 from safetensors import SafetensorError, safe_open
-from safetensors.numpy import load_file, save_file
+from safetensors.numpy import load_file
 
 from bulletuav.errors import missing_extra
-from bulletuav.files import whole_file
 from bulletuav.parsing import parse_json
-from bulletuav.policies.neural_network import HIGH, LOW, read_weights
+from bulletuav.policies.neural_network import HIGH, LOW, read_weights, write_weights
 from bulletuav.policies.run import POLICY
 from bulletuav.training.store import REPLAY, TRAINING
 
@@ -55,7 +54,7 @@ def save_checkpoint(model: Any, folder: Path) -> None:
     # The policy file includes action bounds, so that inference does not need PyTorch
     space = model.action_space
     bounds = {LOW: space.low, HIGH: space.high} if isinstance(space, Box) else {}
-    _write({**_arrays(model.policy.state_dict()), **bounds}, folder / POLICY)
+    write_weights({**_arrays(model.policy.state_dict()), **bounds}, folder / POLICY)
     # Names of arrays: optimizer/index of the parameter/key of its state
     rest: dict[str, np.ndarray] = {}
     for name in _optimizers(model):
@@ -63,10 +62,10 @@ def save_checkpoint(model: Any, folder: Path) -> None:
             rest |= {f"{name}/{index}/{key}": array for key, array in _arrays(state).items()}
     rest |= _arrays({name: recursive_getattr(model, name) for name in _variables(model)})
     counters = {name: getattr(model, name) for name in COUNTERS if hasattr(model, name)}
-    _write(rest, folder / TRAINING, {"counters": json.dumps(counters)})
+    write_weights(rest, folder / TRAINING, {"counters": json.dumps(counters)})
     buffer = getattr(model, "replay_buffer", None)
     if buffer is not None:
-        _write(_rows(buffer), folder / REPLAY)
+        write_weights(_rows(buffer), folder / REPLAY)
 
 
 def restore_checkpoint(model: Any, folder: Path) -> None:
@@ -116,16 +115,6 @@ def _restore(model: Any, folder: Path) -> None:
             setattr(model, name, kind(counters[name]))
     if getattr(model, "replay_buffer", None) is not None:
         _fill(model.replay_buffer, load_file(folder / REPLAY))
-
-
-def _write(arrays: dict[str, np.ndarray], path: Path, about: dict[str, str] | None = None) -> None:
-    """Write arrays by name, with metadata."""
-    with whole_file(path) as part:
-        # safetensors raises its own error, as for a full disk
-        try:
-            save_file(arrays, part, about)
-        except SafetensorError as error:
-            raise OSError(str(error)) from None
 
 
 def _optimizers(model: Any) -> list[str]:

@@ -4,7 +4,7 @@ import dataclasses
 from collections.abc import Mapping
 from typing import Any
 
-from bulletuav.policies.run import CONFIG, SCENE, RunConfig, shipped, shipped_tasks
+from bulletuav.policies.run import CONFIG, FAST, SCENE, RunConfig, shipped, shipped_tasks
 from bulletuav.tasks import find_task
 from bulletuav.tasks.default import Default
 from bulletuav.tasks.goal_flight import GoalFlight
@@ -130,6 +130,31 @@ OWN: dict[str, dict[str, Any]] = {
     },
 }
 """Settings of single tasks, in addition to those of their kind"""
+FAST_OWN: dict[str, dict[str, Any]] = {
+    "hover": {
+        "steps": 240_000,
+        "options": {
+            "dynamics": "rigid_body",
+            "max_distance": 3.0,
+            # In body axes, the heading does not matter
+            "observation": ["body_goal_offset", "body_velocity", "body_up", "rates"],
+        },
+        "model": {
+            "n_steps": 16,
+            "batch_size": 512,
+            "n_epochs": 4,
+            "learning_rate": [4e-3, 1e-5],
+            "gamma": 0.97,
+            "policy_kwargs": {
+                "net_arch": [32, 32],
+                "log_std_init": -1.8,
+                # Distances of some centimetres count
+                "features_extractor_kwargs": {"scale": 5.0},
+            },
+        },
+    },
+}
+"""Settings of single tasks with the algorithm `FAST`, in addition to those with `ppo`"""
 USERS = ("position", "all_neighbours", "targets", "sight_matrix", "sight_ahead")
 """Blocks of an observation that the network `user_sum` reads"""
 SERVICE: dict[str, Any] = {
@@ -151,7 +176,7 @@ SERVICE: dict[str, Any] = {
 """Settings of runs in tasks of service to users, which the drones of a world share"""
 
 
-def default_run(task: str) -> RunConfig:
+def default_run(task: str, algo: str = "ppo") -> RunConfig:
     """Return the default settings of a training run.
 
     They are the schedule `GOAL_FLIGHT` in goal flights and in `default`, those of the policy of the
@@ -162,10 +187,14 @@ def default_run(task: str) -> RunConfig:
 
     Args:
         task: Name of the task.
+        algo: Algorithm, "ppo" or `FAST`, whose settings are those of "ppo", replaced by `FAST_OWN`.
 
     Raises:
         ValueError: If there is no such task.
     """
+    if algo == FAST:
+        run = dataclasses.replace(default_run(task), algo=FAST)
+        return _replace_settings(run, FAST_OWN.get(task, {}))
     kind = find_task(task)
     options: dict[str, Any] = {"reward": "training"}
     if issubclass(kind, GoalFlight | Default):
@@ -190,10 +219,13 @@ def default_run(task: str) -> RunConfig:
 
 def _with_own(run: RunConfig) -> RunConfig:
     """Replace settings of a run by those of its task in `OWN`."""
-    own = dict(OWN.get(run.task, {}))
-    for name in ("options", "model"):
-        own[name] = {**getattr(run, name), **own.get(name, {})}
-    return dataclasses.replace(run, **own)
+    return _replace_settings(run, OWN.get(run.task, {}))
+
+
+def _replace_settings(run: RunConfig, own: Mapping[str, Any]) -> RunConfig:
+    """Replace settings of a run; single options, and single settings of the algorithm."""
+    merged = {name: {**getattr(run, name), **own.get(name, {})} for name in ("options", "model")}
+    return dataclasses.replace(run, **{**own, **merged})
 
 
 def shipped_run(task: str) -> RunConfig:

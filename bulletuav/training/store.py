@@ -9,11 +9,12 @@ import io
 import json
 import math
 import shutil
+import sys
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 from bulletuav.analysis.conditions import Conditions
 from bulletuav.engine.calls import HAS_BULLET
@@ -22,7 +23,15 @@ from bulletuav.envs.resolve_options import resolve_options
 from bulletuav.errors import read_file, reason_of, shown
 from bulletuav.files import replace_file, whole_file
 from bulletuav.parsing import read_json
-from bulletuav.policies.run import CHECKPOINTS, CONFIG, MODULE_NAME, POLICY, RunConfig, whole_number
+from bulletuav.policies.run import (
+    CHECKPOINTS,
+    CONFIG,
+    FAST,
+    MODULE_NAME,
+    POLICY,
+    RunConfig,
+    whole_number,
+)
 from bulletuav.tasks import find_task
 
 EVALUATION_SEED = 1_000_000
@@ -50,6 +59,8 @@ PACKAGES = (
     "pybullet",
 )
 """Packages whose versions may affect the weights; PyBullet is optional"""
+LEARNING = ("stable_baselines3", "torch")
+"""Packages that the algorithm `FAST` does not use"""
 Row = dict[str, float]
 """A row of the learning curve"""
 
@@ -95,7 +106,9 @@ class Store:
         self.updates: list[Row] = []
         self.curriculum: dict[str, Any] = {}
         self._config = config
-        packages = [name for name in PACKAGES if name != "pybullet" or HAS_BULLET]
+        absent = set() if HAS_BULLET else {"pybullet"}
+        absent |= set(LEARNING) if config.algo == FAST else set()
+        packages = [name for name in PACKAGES if name not in absent]
         about = "# " + ", ".join(f"{name} {version(name)}" for name in packages)
         try:
             (folder / CHECKPOINTS).mkdir(parents=True, exist_ok=True)
@@ -308,21 +321,31 @@ def lock_folder(folder: Path) -> Iterator[None]:
     Raises:
         FolderError: If another process trains in the folder, or it is not writable.
     """
-    # A dependency of PyTorch
-    from filelock import FileLock, Timeout
-
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        lock = FileLock(folder / "lock", timeout=0)
-        lock.acquire()
-    except Timeout:
-        raise FolderError(
-            f"{folder} is in use by another process: wait, or choose another folder"
-        ) from None
+        file = (folder / "lock").open("a")
     except OSError as error:
         raise _not_writable(folder, error) from None
-    with lock:
+    with file:
+        try:
+            _lock_file(file)
+        except OSError:
+            raise FolderError(
+                f"{folder} is in use by another process: wait, or choose another folder"
+            ) from None
         yield
+
+
+def _lock_file(file: IO[str]) -> None:
+    """Lock a file until it is closed; raise OSError if another process has locked it."""
+    if sys.platform == "win32":
+        import msvcrt
+
+        msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
+    else:
+        import fcntl
+
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
 
 @contextlib.contextmanager

@@ -163,12 +163,12 @@ def run_study(
         ValueError: If a setting or `workers` is invalid, or all trials failed.
         ImportError: If the extra `tune` or `sb3` is not installed.
     """
-    # Imported here, as these modules need extras
+    # Imported here, as it needs an extra
     from bulletuav.adapters.optuna import suggest
-    from bulletuav.training.models import check_settings
+    from bulletuav.training.trainer import check_algorithm
 
     for name, one in study.space.items():
-        check_settings(with_values(study.run, {name: one.first}))
+        check_algorithm(with_values(study.run, {name: one.first}))
     trials: list[Trial] = []
     with lock_folder(folder), training_processes(workers) as pool:
         _write_settings(study, folder)

@@ -217,7 +217,7 @@ def test_each_update_is_told_to_tensorboard_and_a_table(run):
 
 
 def test_long_runs_tell_of_a_thousand_updates(tmp_path, monkeypatch):
-    monkeypatch.setattr("bulletuav.training.trainer.MAX_UPDATES", 2)
+    monkeypatch.setattr("bulletuav.training.segments.MAX_UPDATES", 2)
     train(config(), tmp_path)
     assert (tmp_path / "updates.csv").read_text().count("\n") == 3  # at 128 and 256 of 200 steps
 

@@ -83,6 +83,21 @@ def goal_offset(goal: Vec3, known_position: Vec3) -> Vec3:
 
 
 @register("observation")
+@block(lambda task: _across_arena("body goal offset", task))
+def body_goal_offset(quaternion: Quat4, goal: Vec3, known_position: Vec3) -> Vec3:
+    """Vector from the drone to its goal, body axes."""
+    x, y, z = known_position
+    return to_body(quaternion, (goal[0] - x, goal[1] - y, goal[2] - z))
+
+
+@register("observation")
+@block(vector_labels("body up", "1", [-1.0] * 3, [1.0] * 3))
+def body_up(quaternion: Quat4) -> Vec3:
+    """Upward unit vector of the world, body axes: the attitude without the heading."""
+    return to_body(quaternion, (0.0, 0.0, 1.0))
+
+
+@register("observation")
 @block(lambda task: _speeds("goal velocity", task))
 def goal_velocity(goal_velocity: Vec3) -> Vec3:
     """Goal velocity, world axes."""

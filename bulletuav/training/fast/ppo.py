@@ -1,0 +1,353 @@
+"""PPO of single precision: choice of actions, advantages, and updates.
+
+J. Schulman, F. Wolski, P. Dhariwal, A. Radford, O. Klimov, Proximal policy optimization algorithms
+(2017), with the details of stable-baselines3. Rewards that are NaN mark absent drones.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from bulletuav.compiled.functions import exp, moderate_exp
+from bulletuav.compiled.kernel import kernel
+from bulletuav.training.fast.dense import BLOCK, ZERO, adam, backward, forward
+from bulletuav.training.fast.sets import (
+    Sets,
+    SetsWork,
+    add_features_gradient,
+    compute_features,
+)
+
+HALF_LOG_2_PI = 0.5 * math.log(2.0 * math.pi)
+MAX_EXPONENT = 20.0
+"""Bound of the logarithm of probability ratios"""
+TINY_DEVIATION = 1e-8
+"""Added to the standard deviation of advantages, as in stable-baselines3"""
+
+
+class Networks(NamedTuple):
+    """Networks in one array of parameters; the last parameters are the log standard deviations.
+
+    Attributes:
+        sets: Layout of the features.
+        set_starts: (G,) index of the first parameter of the network of each kind of entity.
+        set_widths: (G, 3) their widths.
+        actor_start: Index of the first parameter of the actor.
+        actor: (layers + 1,) widths of the actor.
+        critic_start: Index of the first parameter of the critic.
+        critic: (layers + 1,) widths of the critic.
+    """
+
+    sets: Sets
+    set_starts: np.ndarray
+    set_widths: np.ndarray
+    actor_start: int
+    actor: np.ndarray
+    critic_start: int
+    critic: np.ndarray
+
+
+class Work(NamedTuple):
+    """Work arrays: activations and gradients of a block of samples, see `dense` and `sets`."""
+
+    sets: SetsWork
+    actor: np.ndarray
+    actor_changes: np.ndarray
+    critic: np.ndarray
+    critic_changes: np.ndarray
+    turned: np.ndarray
+    chosen: np.ndarray
+
+
+class Rollout(NamedTuple):
+    """Arrays of T decisions of M slots.
+
+    Attributes:
+        encoded: (T + 1, M, E) float32, encoded observations.
+        actions: (T, M, A) float32, not clipped.
+        log_densities: (T, M) float32, log probability densities of the actions.
+        values: (T + 1, M) float32, estimates of the critic.
+        rewards: (T, M) float32, NaN for absent drones.
+        done: (T, M) float32, 1 where the decision ended the episode of the slot.
+        advantages: (T, M) float32.
+        returns: (T, M) float32.
+    """
+
+    encoded: np.ndarray
+    actions: np.ndarray
+    log_densities: np.ndarray
+    values: np.ndarray
+    rewards: np.ndarray
+    done: np.ndarray
+    advantages: np.ndarray
+    returns: np.ndarray
+
+
+class Losses(NamedTuple):
+    """Constants of the loss.
+
+    Attributes:
+        clip: Clip range of probability ratios.
+        entropy: Factor of the entropy.
+        value: Factor of the squared error of the critic.
+        max_norm: Maximum norm of the gradient.
+    """
+
+    clip: float
+    entropy: float
+    value: float
+    max_norm: float
+
+
+@kernel
+def run_networks(
+    parameters: np.ndarray,
+    networks: Networks,
+    work: Work,
+    encoded: np.ndarray,
+    means: np.ndarray,
+    values: np.ndarray,
+) -> None:
+    """Compute actor and critic for encoded observations.
+
+    Args:
+        parameters: (P,) float32.
+        networks: The networks.
+        work: Work arrays.
+        encoded: (M, E) rows.
+        means: (M, A) means of the actions, written.
+        values: (M,) values, written.
+    """
+    count = encoded.shape[0]
+    sets, starts, widths = networks.sets, networks.set_starts, networks.set_widths
+    actor_last, critic_last = len(networks.actor) - 1, len(networks.critic) - 1
+    for first in range(0, count, BLOCK):
+        for s in range(BLOCK):
+            work.chosen[s] = min(first + s, count - 1)
+        features = work.actor[0]
+        compute_features(
+            parameters, sets, starts, widths, encoded, work.chosen, work.sets, features
+        )
+        for k in range(networks.critic[0]):
+            for s in range(BLOCK):
+                work.critic[0, k, s] = features[k, s]
+        forward(parameters, networks.actor_start, networks.actor, work.actor, False)
+        forward(parameters, networks.critic_start, networks.critic, work.critic, False)
+        for s in range(min(BLOCK, count - first)):
+            for a in range(means.shape[1]):
+                means[first + s, a] = work.actor[actor_last, a, s]
+            values[first + s] = work.critic[critic_last, 0, s]
+
+
+@kernel
+def sample_actions(
+    parameters: np.ndarray, noise: np.ndarray, actions: np.ndarray, log_densities: np.ndarray
+) -> None:
+    """Add noise to the means of actions.
+
+    Args:
+        parameters: (P,) of the networks.
+        noise: (M, A) standard normal numbers.
+        actions: (M, A) means, replaced by actions.
+        log_densities: (M,) log probability densities, written.
+    """
+    size = actions.shape[1]
+    first = len(parameters) - size
+    for m in range(actions.shape[0]):
+        total = 0.0
+        for a in range(size):
+            log_std = float(parameters[first + a])
+            number = float(noise[m, a])
+            actions[m, a] = actions[m, a] + exp(log_std) * number
+            total -= 0.5 * number * number + log_std + HALF_LOG_2_PI
+        log_densities[m] = total
+
+
+@kernel
+def compute_advantages(rollout: Rollout, gamma: float, decay: float) -> None:
+    """Compute generalised advantage estimates and returns.
+
+    J. Schulman, P. Moritz, S. Levine, M. Jordan, P. Abbeel, High-dimensional continuous control
+    using generalized advantage estimation (2016), equation 16.
+
+    Args:
+        rollout: Advantages and returns are written.
+        gamma: Discount factor.
+        decay: Factor lambda.
+    """
+    decisions, slots = rollout.rewards.shape
+    for m in range(slots):
+        after = 0.0
+        for t in range(decisions - 1, -1, -1):
+            reward = rollout.rewards[t, m]
+            if np.isnan(reward):
+                after = 0.0
+                rollout.advantages[t, m] = ZERO
+                rollout.returns[t, m] = ZERO
+                continue
+            goes_on = 1.0 - rollout.done[t, m]
+            value = float(rollout.values[t, m])
+            error = reward + gamma * goes_on * rollout.values[t + 1, m] - value
+            after = error + gamma * decay * goes_on * after
+            rollout.advantages[t, m] = after
+            rollout.returns[t, m] = after + value
+
+
+@kernel
+def compute_gradient(
+    parameters: np.ndarray,
+    gradient: np.ndarray,
+    networks: Networks,
+    work: Work,
+    rollout: Rollout,
+    chosen: np.ndarray,
+    losses: Losses,
+    found: np.ndarray,
+) -> None:
+    """Compute the gradient of the loss of a minibatch.
+
+    Args:
+        parameters: (P,) float32.
+        gradient: (P,) written.
+        networks: The networks.
+        work: Work arrays.
+        rollout: The rollout.
+        chosen: (B,) indices t M + m of the samples.
+        losses: Constants of the loss.
+        found: (4,) losses of the policy and of the critic, fraction of clipped ratios, and
+            approximate Kullback-Leibler divergence, added to.
+    """
+    slots, size = rollout.rewards.shape[1], rollout.actions.shape[2]
+    encoded = rollout.encoded.reshape(-1, rollout.encoded.shape[2])
+    count, clip = len(chosen), losses.clip
+    first_std = len(parameters) - size
+    sets, starts, widths = networks.sets, networks.set_starts, networks.set_widths
+    actor_last, critic_last = len(networks.actor) - 1, len(networks.critic) - 1
+    for k in range(len(gradient)):
+        gradient[k] = ZERO
+    for a in range(size):
+        gradient[first_std + a] = -losses.entropy
+    # Advantages have mean 0 and standard deviation 1 in each minibatch
+    mean, square = 0.0, 0.0
+    for c in range(count):
+        mean += float(rollout.advantages[chosen[c] // slots, chosen[c] % slots]) / count
+    for c in range(count):
+        away = rollout.advantages[chosen[c] // slots, chosen[c] % slots] - mean
+        square += away * away / max(count - 1, 1)
+    spread = 1.0 / (math.sqrt(square) + TINY_DEVIATION) if count > 1 else 1.0
+    mean = mean if count > 1 else 0.0
+    normal = 0.0
+    for a in range(size):
+        normal += float(parameters[first_std + a]) + HALF_LOG_2_PI
+    for first in range(0, count, BLOCK):
+        used = min(BLOCK, count - first)
+        for s in range(BLOCK):
+            work.chosen[s] = chosen[first + min(s, used - 1)]
+        features = work.actor[0]
+        compute_features(
+            parameters, sets, starts, widths, encoded, work.chosen, work.sets, features
+        )
+        for k in range(networks.critic[0]):
+            for s in range(BLOCK):
+                work.critic[0, k, s] = features[k, s]
+        forward(parameters, networks.actor_start, networks.actor, work.actor, False)
+        forward(parameters, networks.critic_start, networks.critic, work.critic, False)
+        means, values = work.actor[actor_last], work.critic[critic_last]
+        of_means, of_values = work.actor_changes[actor_last], work.critic_changes[critic_last]
+        for s in range(BLOCK):
+            t, m = work.chosen[s] // slots, work.chosen[s] % slots
+            log_density = -normal
+            for a in range(size):
+                inverse = exp(-float(parameters[first_std + a]))
+                away = (float(rollout.actions[t, m, a]) - means[a, s]) * inverse
+                log_density -= 0.5 * away * away
+            difference = log_density - rollout.log_densities[t, m]
+            ratio = moderate_exp(min(max(difference, -MAX_EXPONENT), MAX_EXPONENT))
+            advantage = (rollout.advantages[t, m] - mean) * spread
+            error = float(values[0, s]) - rollout.returns[t, m]
+            # The last block repeats its last sample, without weight
+            weight = 1.0 / count if s < used else 0.0
+            # The derivative is 0 where the clipped ratio is the minimum
+            is_free = ratio < 1.0 + clip if advantage > 0.0 else ratio > 1.0 - clip
+            pull = -advantage * ratio * weight if is_free else 0.0
+            for a in range(size):
+                inverse = exp(-float(parameters[first_std + a]))
+                away = (float(rollout.actions[t, m, a]) - means[a, s]) * inverse
+                of_means[a, s] = pull * away * inverse
+                gradient[first_std + a] += np.float32(pull * (away * away - 1.0))
+            of_values[0, s] = 2.0 * losses.value * error * weight
+            clipped = min(max(ratio, 1.0 - clip), 1.0 + clip)
+            found[0] -= min(ratio * advantage, clipped * advantage) * weight
+            found[1] += error * error * weight
+            found[2] += weight if clipped != ratio else 0.0
+            found[3] += (ratio - 1.0 - difference) * weight
+        has_sets = sets.kinds.shape[0] > 0
+        backward(
+            parameters,
+            gradient,
+            networks.actor_start,
+            networks.actor,
+            work.actor,
+            work.actor_changes,
+            work.turned,
+            False,
+            has_sets,
+        )
+        backward(
+            parameters,
+            gradient,
+            networks.critic_start,
+            networks.critic,
+            work.critic,
+            work.critic_changes,
+            work.turned,
+            False,
+            has_sets,
+        )
+        if has_sets:
+            of_features = work.actor_changes[0]
+            for k in range(len(sets.own), networks.actor[0]):
+                for s in range(BLOCK):
+                    of_features[k, s] += work.critic_changes[0, k, s]
+            add_features_gradient(
+                parameters, gradient, sets, starts, widths, work.sets, of_features
+            )
+
+
+@kernel
+def update_networks(
+    parameters: np.ndarray,
+    gradient: np.ndarray,
+    moments: np.ndarray,
+    networks: Networks,
+    work: Work,
+    rollout: Rollout,
+    order: np.ndarray,
+    ends: np.ndarray,
+    step: int,
+    rate: float,
+    losses: Losses,
+    found: np.ndarray,
+) -> None:
+    """Make a step of Adam for each minibatch.
+
+    Args:
+        parameters: (P,) float32, changed.
+        gradient: (P,) work array.
+        moments: (2, P) running means of Adam, changed.
+        networks: The networks.
+        work: Work arrays.
+        rollout: The rollout, with advantages and returns.
+        order: Indices t M + m of the samples of all minibatches.
+        ends: (minibatches + 1,) bounds of the minibatches in `order`.
+        step: Number of steps of Adam before.
+        rate: Learning rate.
+        losses: Constants of the loss.
+        found: (4,) sums over minibatches, see `compute_gradient`.
+    """
+    for b in range(len(ends) - 1):
+        chosen = order[ends[b] : ends[b + 1]]
+        compute_gradient(parameters, gradient, networks, work, rollout, chosen, losses, found)
+        moment, square = moments[0], moments[1]
+        adam(parameters, gradient, moment, square, step + b + 1, rate, losses.max_norm)

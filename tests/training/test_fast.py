@@ -1,0 +1,410 @@
+"""PPO without PyTorch: its kernels against PyTorch, its runs, and its settings."""
+
+import dataclasses
+import signal
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import torch
+from torch import nn
+
+import bulletuav
+from bulletuav.adapters.slots import DroneSlots
+from bulletuav.adapters.swarm_features import SwarmFeatures
+from bulletuav.policies.neural_network import Network, read_weights
+from bulletuav.policies.run import FAST, RunConfig
+from bulletuav.policies.swarm_features import find_layout
+from bulletuav.training.fast.dense import adam, draw_orthogonal
+from bulletuav.training.fast.learner import FastPPO
+from bulletuav.training.fast.ppo import compute_advantages, compute_gradient, run_networks
+from bulletuav.training.fast.sets import count_encoded, encode
+from bulletuav.training.schedules import default_run
+from bulletuav.training.segments import make_slots
+from bulletuav.training.store import Store
+from bulletuav.training.trainer import check_algorithm, train
+
+OPTIONS = {
+    "dynamics": "single_integrator",
+    "num_drones": 3,
+    "difficulty": "easy",
+    "horizon": 12,
+    "observation": ["velocity", "goal_offset", "intruders"],
+    "num_neighbours": 2,
+}
+MODEL = {"n_steps": 16, "batch_size": 60, "features": "swarm"}
+
+
+def config(**changes):
+    usual = {
+        "algo": FAST,
+        "steps": 300,
+        "worlds": 2,
+        "options": OPTIONS,
+        "model": MODEL,
+        "evaluations": 3,
+        "episodes": 1,
+        "evaluation": {"dynamics": "single_integrator", "horizon": 5},
+    }
+    return RunConfig("converge", **{**usual, **changes})
+
+
+class NoSegments:
+    def add_infos(self, infos):
+        pass
+
+
+def collected(**changes):
+    """Return a learner with a rollout."""
+    run = config(**changes)
+    env = make_slots(run, DroneSlots)
+    learner = FastPPO(run, env)
+    learner.begin_segment(5)
+    learner.collect(NoSegments())
+    return learner, env
+
+
+def torch_loss(learner, env, weights, rows, seen, losses):
+    """Loss of PPO, and the parameters of which it is a function."""
+    parameters = {name: torch.tensor(array, requires_grad=True) for name, array in weights.items()}
+    settings = learner._settings
+    if settings.features == "swarm":
+        features = SwarmFeatures(env.observation_space, find_layout(env.labels), settings.size)
+        named = {
+            name.removeprefix("features_extractor."): value
+            for name, value in parameters.items()
+            if name.startswith("features_extractor")
+        }
+        known = torch.func.functional_call(features, named, (seen,))
+    else:
+        known = seen
+
+    def network(kind, last, values):
+        k = 0
+        while f"mlp_extractor.{kind}_net.{k}.weight" in parameters:
+            name = f"mlp_extractor.{kind}_net.{k}"
+            values = torch.tanh(
+                nn.functional.linear(
+                    values, parameters[f"{name}.weight"], parameters[f"{name}.bias"]
+                )
+            )
+            k += 2
+        return nn.functional.linear(
+            values, parameters[f"{last}.weight"], parameters[f"{last}.bias"]
+        )
+
+    actions, before, advantages, returns = rows
+    std = parameters["log_std"].exp()
+    normal = torch.distributions.Normal(network("policy", "action_net", known), std)
+    ratio = (normal.log_prob(actions).sum(1) - before).exp()
+    advantages = (advantages - advantages.mean()) / (advantages.std() + 1e-8)
+    clipped = ratio.clamp(1 - losses.clip, 1 + losses.clip)
+    policy = -torch.minimum(ratio * advantages, clipped * advantages).mean()
+    value = (network("value", "value_net", known)[:, 0] - returns).square().mean()
+    loss = policy + losses.value * value - losses.entropy * normal.entropy().sum(1).mean()
+    return loss, parameters, (policy.item(), value.item(), (ratio - clipped != 0).float().mean())
+
+
+SHAPES = {
+    "swarm": {},
+    "no features": {"model": {**MODEL, "features": None}},
+    "one layer, entropy": {
+        "model": {
+            **MODEL,
+            "features": None,
+            "ent_coef": 0.1,
+            "policy_kwargs": {"net_arch": {"pi": [7], "vf": []}},
+        }
+    },
+}
+
+
+@pytest.mark.parametrize("changes", SHAPES.values(), ids=SHAPES)
+def test_gradients_are_those_of_pytorch(changes):
+    learner, env = collected(**changes)
+    rollout, rng = learner._rollout, np.random.default_rng(0)
+    learner.parameters[:] += 0.1 * rng.standard_normal(len(learner.parameters), np.float32)
+    compute_advantages(rollout, 0.9, 0.9)
+    # Ratios that are clipped on both sides
+    rollout.log_densities[:] += 0.3 * rng.standard_normal(rollout.rewards.shape)
+    flown = rng.permutation(np.flatnonzero(~np.isnan(rollout.rewards)))[:75]
+    own = learner._settings.losses
+    found = np.zeros(4)
+    compute_gradient(
+        learner.parameters,
+        learner._gradient,
+        learner.networks,
+        learner._work,
+        rollout,
+        flown,
+        own,
+        found,
+    )
+    t, m = np.divmod(flown, env.num_envs)
+    arrays = (rollout.actions, rollout.log_densities, rollout.advantages, rollout.returns)
+    rows = [torch.tensor(array[t, m]) for array in arrays]
+    seen = torch.tensor(_observations(learner, changes, env)[t, m])
+    weights = {name: array.copy() for name, array in learner.named_weights().items()}
+    loss, parameters, parts = torch_loss(learner, env, weights, rows, seen, own)
+    loss.backward()
+    learner.parameters[:] = learner._gradient
+    for name, gradient in learner.named_weights().items():
+        expected = parameters[name].grad.numpy()
+        np.testing.assert_allclose(gradient, expected, rtol=1e-3, atol=1e-5, err_msg=name)
+    np.testing.assert_allclose(found[:3], parts, rtol=1e-4, atol=1e-6)
+
+
+def _observations(learner, changes, env):
+    """Observations of the rollout, from a second one with the same seed."""
+    again, other = collected(**changes)
+    seen = []
+    step = other.step_async
+
+    def spy(actions):
+        seen.append(again._seen)
+        step(actions)
+
+    other.step_async = spy
+    again.begin_segment(5)
+    again.num_steps = 0
+    again.collect(NoSegments())
+    np.testing.assert_array_equal(again._rollout.actions, learner._rollout.actions)
+    return np.array(seen)
+
+
+def test_advantages_are_sums_of_discounted_errors_of_an_episode():
+    learner, _ = collected()
+    rollout, rng = learner._rollout, np.random.default_rng(1)
+    shape = rollout.rewards.shape
+    rollout.rewards[:] = rng.standard_normal(shape)
+    rollout.values[:] = rng.standard_normal(rollout.values.shape)
+    rollout.done[:] = rng.random(shape) < 0.2
+    rollout.rewards[5:9, 1] = np.nan
+    rollout.done[4, 1] = 1
+    compute_advantages(rollout, 0.9, 0.8)
+    for m in range(shape[1]):
+        for t in range(shape[0]):
+            total, factor = 0.0, 1.0
+            for k in range(t, shape[0]):
+                if np.isnan(rollout.rewards[k, m]):
+                    break
+                goes_on = 1 - rollout.done[k, m]
+                after = 0.9 * goes_on * rollout.values[k + 1, m]
+                total += factor * (rollout.rewards[k, m] + after - rollout.values[k, m])
+                factor *= 0.9 * 0.8 * goes_on
+            assert rollout.advantages[t, m] == pytest.approx(total, abs=1e-5)
+            if not np.isnan(rollout.rewards[t, m]):
+                value = rollout.values[t, m]
+                assert rollout.returns[t, m] == pytest.approx(total + value, abs=1e-5)
+
+
+@pytest.mark.parametrize("max_norm", [0.5, 1e6])
+def test_the_optimizer_is_adam_with_a_clipped_gradient(max_norm):
+    rng = np.random.default_rng(2)
+    own = rng.standard_normal(50).astype(np.float32)
+    other = torch.tensor(own.copy(), requires_grad=True)
+    optimizer = torch.optim.Adam([other], lr=0.01, eps=1e-5)
+    mean, square = np.zeros((2, 50), np.float32)
+    for step in range(1, 20):
+        gradient = rng.standard_normal(50).astype(np.float32)
+        other.grad = torch.tensor(gradient.copy())
+        nn.utils.clip_grad_norm_([other], max_norm)
+        optimizer.step()
+        adam(own, gradient, mean, square, step, 0.01, max_norm)
+    np.testing.assert_allclose(own, other.detach().numpy(), rtol=1e-5, atol=1e-6)
+
+
+@pytest.mark.parametrize(("outputs", "inputs"), [(5, 9), (9, 5), (4, 4), (1, 6)])
+def test_initial_weights_are_orthogonal(outputs, inputs):
+    drawn = draw_orthogonal(np.random.default_rng(3), outputs, inputs, 2.0).astype(float)
+    product = drawn @ drawn.T if outputs <= inputs else drawn.T @ drawn
+    np.testing.assert_allclose(product, 4.0 * np.eye(len(product)), atol=1e-5)
+
+
+def test_values_of_truncated_episodes_are_added_to_the_last_reward():
+    # All episodes end after three decisions, without termination
+    learner, _ = collected(options={**OPTIONS, "horizon": 3})
+    rewards = []
+    for value in (0.0, 10.0):
+        learner.parameters[:] = 0.0
+        learner.named_weights()["value_net.bias"][:] = value
+        learner.begin_segment(5)
+        learner.collect(NoSegments())
+        rewards.append(learner._rollout.rewards.copy())
+    truncated = np.zeros(16, dtype=bool)
+    truncated[2::3] = True
+    np.testing.assert_array_equal(learner._rollout.done.astype(bool).all(1), truncated)
+    expected = 0.99 * 10.0 * truncated[:, None] * np.ones(6)
+    np.testing.assert_allclose(rewards[1] - rewards[0], expected, atol=1e-5)
+
+
+def weights(folder):
+    found = read_weights(folder / "policy.safetensors")
+    return np.concatenate([found[name].ravel() for name in sorted(found)])
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("runs") / "run"
+    return folder, train(config(), folder)
+
+
+def test_a_run_has_the_files_and_columns_of_the_others(run):
+    folder, rows = run
+    assert [row["steps"] for row in rows] == [0, 192, 288, 384]
+    assert rows[-1]["decisions"] > 300
+    assert (folder / "curve.csv").read_text().count("\n") == 5
+    assert (folder / "updates.csv").read_text().startswith("steps,rollout/return,")
+    assert "train/value_loss" in (folder / "updates.csv").read_text()
+    assert "torch" not in (folder / "run.yaml").read_text()
+    assert len(list(folder.glob("checkpoints/*/training.safetensors"))) == 1
+    assert len(list(folder.glob("checkpoints/*/policy.safetensors"))) == 4
+
+
+def test_the_same_seed_gives_the_same_weights_and_another_seed_others(run, tmp_path):
+    train(RunConfig.read(run[0] / "run.yaml"), tmp_path / "again")
+    np.testing.assert_array_equal(weights(tmp_path / "again"), weights(run[0]))
+    train(config(seed=1), tmp_path / "other")
+    assert not np.array_equal(weights(tmp_path / "other"), weights(run[0]))
+
+
+def test_an_interrupted_run_goes_on_to_the_weights_of_one_that_was_not(run, tmp_path):
+    def progress(done):
+        if done > 250:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        train(config(), tmp_path, progress)
+    assert len(Store(tmp_path, config()).rows) == 2
+    train(config(), tmp_path)
+    np.testing.assert_array_equal(weights(tmp_path), weights(run[0]))
+    told = [(folder / "updates.csv").read_text() for folder in (run[0], tmp_path)]
+    assert told[0] == told[1]
+
+
+def test_a_killed_run_goes_on_to_the_same_weights(run, tmp_path):
+    (tmp_path / "run.yaml").write_text(config().text())
+    code = (
+        "import sys; from pathlib import Path; from bulletuav.policies.run import RunConfig\n"
+        "from bulletuav.training.trainer import train\n"
+        "import os, signal\n"
+        "def progress(done):\n"
+        "    if done > 250: os.kill(os.getpid(), signal.SIGKILL)\n"
+        "train(RunConfig.read(Path(sys.argv[1])), Path(sys.argv[2]), progress)\n"
+    )
+    out = tmp_path / "out"
+    command = [sys.executable, "-c", code, str(tmp_path / "run.yaml"), str(out)]
+    assert subprocess.run(command, check=False).returncode == -signal.SIGKILL
+    train(config(), out)
+    np.testing.assert_array_equal(weights(out), weights(run[0]))
+
+
+def test_a_damaged_checkpoint_is_refused(run, tmp_path):
+    learner, _ = collected()
+    with pytest.raises(ValueError, match="holds no checkpoint of this run"):
+        learner.restore(tmp_path)
+    other, _ = collected(model={**MODEL, "policy_kwargs": {"net_arch": [8]}})
+    last = max(run[0].glob("checkpoints/*"))
+    with pytest.raises(ValueError, match="parameters have another size"):
+        other.restore(last)
+
+
+def test_a_policy_acts_as_the_learner_does(run):
+    folder, _ = run
+    env = bulletuav.batch_env("converge", 2, **OPTIONS)
+    learner, _ = collected()
+    learner.restore(max(folder.glob("checkpoints/*")))
+    seen, _ = env.reset(seed=0)
+    rows = seen.reshape(6, -1).astype(np.float32)
+    encoded = np.zeros((6, count_encoded(learner.networks.sets)), np.float32)
+    encode(rows, learner.networks.sets, encoded)
+    means, values = np.zeros((6, 3), np.float32), np.zeros(6, np.float32)
+    run_networks(learner.parameters, learner.networks, learner._work, encoded, means, values)
+    network = Network(
+        read_weights(folder / "policy.safetensors"),
+        FAST,
+        config().settings,
+        env.observation_labels,
+    )
+    np.testing.assert_allclose(network(rows), np.clip(means, -1, 1), atol=1e-5)
+
+
+WITHOUT = """
+import sys
+from pathlib import Path
+
+class Blocked:
+    def find_spec(self, name, path=None, target=None):
+        if name.split(".")[0] in ("torch", "stable_baselines3", "tensorboard", "filelock"):
+            raise ImportError(name)
+
+sys.meta_path.insert(0, Blocked())
+from bulletuav.cli import main
+
+sys.argv = ["bulletuav", "train", "converge", "--algo", "fast_ppo", "--steps", "100", "--worlds",
+    "1", "--evaluations", "1", "--episodes", "1", "--horizon", "5", "--out", sys.argv[1]]
+sys.exit(main())
+"""
+
+
+def test_training_needs_no_extra(tmp_path):
+    command = [sys.executable, "-c", WITHOUT, str(tmp_path / "run")]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode in (0, None), done.stderr
+    assert (tmp_path / "run" / "policy.safetensors").exists()
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"model": {"n_step": 5}}, "fast_ppo has no setting 'n_step': did you mean 'n_steps'"),
+        ({"model": {"use_sde": True}}, "choose --algo ppo"),
+        ({"model": {"n_steps": 0}}, "n_steps is 0"),
+        ({"model": {"gamma": 1.5}}, "gamma is 1.5"),
+        ({"model": {"learning_rate": [1, 2, 3]}}, "learning_rate is"),
+        ({"model": {"features": "user_sum"}}, "fast_ppo: unknown features 'user_sum'"),
+        ({"model": {"policy_kwargs": {"activation_fn": 1}}}, "policy_kwargs: fast_ppo has no"),
+        ({"model": {"policy_kwargs": 3}}, "policy_kwargs is 3"),
+        ({"model": {"policy_kwargs": {"net_arch": [0]}}}, "net_arch is 0"),
+        ({"model": {"policy_kwargs": {"net_arch": {"qf": [4]}}}}, "net_arch: fast_ppo has no"),
+        (
+            {"model": {"policy_kwargs": {"features_extractor_kwargs": {"sizes": 4}}}},
+            "did you mean 'size'",
+        ),
+    ],
+)
+def test_settings_that_cannot_be_are_refused(changes, said):
+    with pytest.raises(ValueError, match=said):
+        check_algorithm(config(**changes))
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"action": "discrete"}, "these are discrete: choose --algo ppo"),
+        ({"observation": ["goal_offset", "depth"]}, "not from pictures: choose --algo ppo"),
+    ],
+)
+def test_what_only_stable_baselines3_learns_is_refused(options, said, tmp_path):
+    with pytest.raises(ValueError, match=said):
+        train(config(options={**OPTIONS, **options}, model={}), tmp_path)
+
+
+def test_mlflow_is_refused(tmp_path):
+    with pytest.raises(ValueError, match="mlflow: fast_ppo logs to updates.csv only"):
+        train(config(), tmp_path, mlflow=True)
+
+
+def test_a_curriculum_with_other_numbers_of_drones_is_learned_and_resumed(tmp_path):
+    stages = [{"num_drones": 2}, {"num_drones": 4}]
+    run = config(stages=stages, curriculum={"up": 0.01, "down": 0.0, "window": 1})
+    rows = train(run, tmp_path)
+    assert rows[-1]["steps"] >= 300
+
+
+def test_hover_is_learned_in_seconds(tmp_path):
+    run = default_run("hover", FAST)
+    changes = {"options": {**run.options, "difficulty": "medium"}, "evaluations": 1, "episodes": 50}
+    rows = train(dataclasses.replace(run, **changes), tmp_path)
+    assert rows[-1]["success"] >= 0.9
