@@ -42,10 +42,10 @@ from bulletuav.files import replace_file
 from bulletuav.policies import find_policy
 from bulletuav.policies.neural_network import ACTORS, HIGH, LOW, read_weights
 from bulletuav.policies.run import (
-    ALGORITHMS,
     CHECKPOINTS,
     CONFIG,
     POLICY,
+    SB3_ALGORITHMS,
     RunConfig,
     read_settings,
     whole_number,
@@ -56,8 +56,6 @@ from bulletuav.training.campaign import training_processes
 from bulletuav.training.store import CURVE, EVALUATION_SEED
 from bulletuav.training.trainer import train
 
-EXAMPLE = "fast_ppo"
-"""Name of the example that trains rows of PPO, not of the algorithm of that name"""
 HERE = Path(__file__).parent
 EXAMPLES = HERE.parent / "examples"
 OUT = HERE.parent / "docs" / "results" / "leaderboard"
@@ -167,7 +165,7 @@ def _train(row: Row, folder: Path) -> None:
     drones = EnvSpec(row.task, 1, options).options.num_drones
     worlds = max(1, settings["slots"] // drones)
     by, model = settings["by"], settings["model"]
-    if by in ALGORITHMS and by != EXAMPLE:
+    if by in SB3_ALGORITHMS:
         config = RunConfig(
             row.task,
             by,
@@ -183,8 +181,8 @@ def _train(row: Row, folder: Path) -> None:
         train(config, folder)
         return
     curve = Curve(row, steps, folder)
-    if by == EXAMPLE:
-        fast = _example(EXAMPLE)
+    if by == "fast_ppo":
+        fast = _example("fast_ppo")
         batch = {"task": row.task, "num_envs": worlds}
         plan = fast.Plan(row.task, options, [batch], steps, **model)
         fast.train(plan, row.seed, settings.get("critic") != "own", folder, curve)

@@ -15,7 +15,7 @@ from bulletuav.envs.resolve_options import action_for, resolve_options
 from bulletuav.errors import find_choice, shown, unknown
 from bulletuav.policies.base import Policy, check_action
 from bulletuav.policies.mismatch import naming_task
-from bulletuav.policies.run import ALGORITHMS, CHECKPOINTS, CONFIG, POLICY, RunConfig, shipped
+from bulletuav.policies.run import CHECKPOINTS, CONFIG, POLICY, SB3_ALGORITHMS, RunConfig, shipped
 from bulletuav.policies.trained import TRUST, SharedPolicy, Trained, actions_given
 from bulletuav.policies.versus import (
     VERSUS,
@@ -168,7 +168,7 @@ def find_policy(
     if not colon:
         return _from_name(text)
     # An algorithm before the colon, or a path after it, means a model file; else it is a class.
-    if before in ALGORITHMS or not after.isidentifier():
+    if before in SB3_ALGORITHMS or not after.isidentifier():
         return _from_model(text, before, after, trust)
     return _from_class(find("policy", text, _is_policy))
 
@@ -290,7 +290,7 @@ def _describe_unfinished(folder: Path) -> str:
 
 def _from_model(source: str, algorithm: str, file: str, trust: bool) -> PolicySpec:
     """Find a model of stable-baselines3 from the text before and after the colon."""
-    find_choice("algorithm", algorithm, dict.fromkeys(ALGORITHMS))
+    find_choice("algorithm", algorithm, dict.fromkeys(SB3_ALGORITHMS))
     if not file:
         raise ValueError(
             f"policy is {source!r}: the path of a model is needed after the colon, "

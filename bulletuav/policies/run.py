@@ -35,8 +35,10 @@ CHECKPOINTS = "checkpoints"
 """Name of the checkpoint folder of a run"""
 FAST = "fast_ppo"
 """PPO of `bulletuav.training.fast`, without PyTorch"""
-ALGORITHMS = ("ppo", FAST, "sac", "td3", "dqn", "a2c", "ddpg")
-"""Training algorithms; all but `FAST` are those of stable-baselines3"""
+SB3_ALGORITHMS = ("ppo", "sac", "td3", "dqn", "a2c", "ddpg")
+"""Training algorithms of stable-baselines3"""
+ALGORITHMS = (*SB3_ALGORITHMS, FAST)
+"""All training algorithms"""
 MASKABLE = "ppo"
 """Algorithm that learns with masks of actions, as MaskablePPO of sb3-contrib"""
 INTERFACE = (

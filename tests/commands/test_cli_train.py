@@ -80,14 +80,14 @@ def test_progress_tells_how_it_goes_and_where_the_time_went(tmp_path, capsys, mo
 
 
 def test_an_interrupt_tells_how_to_go_on(tmp_path, capsys, monkeypatch):
-    from bulletuav.training import trainer
+    from bulletuav.training import segments
 
     monkeypatch.chdir(tmp_path)
 
     def cut(*_, **options):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(trainer, "evaluate", cut)
+    monkeypatch.setattr(segments, "evaluate", cut)
     with pytest.raises(SystemExit) as end:
         main(["train", "obstacles", *TINY, "--out", "run"])
     assert end.value.code == 130

@@ -1,5 +1,7 @@
 """Default settings of training runs."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 import torch
@@ -7,13 +9,14 @@ from torch import nn
 
 from bulletuav.adapters.sb3 import DroneVecEnv
 from bulletuav.envs.env_spec import EnvSpec
-from bulletuav.policies.run import RunConfig, shipped_tasks
+from bulletuav.policies.run import FAST, RunConfig, shipped_tasks
 from bulletuav.tasks import find_task, list_tasks
 from bulletuav.tasks.default import Default
 from bulletuav.tasks.goal_flight import GoalFlight
 from bulletuav.tasks.user_service import UserService
 from bulletuav.training.models import make_model
 from bulletuav.training.schedules import (
+    FAST_OWN,
     GOAL_FLIGHT,
     OWN,
     SERVICE,
@@ -21,7 +24,7 @@ from bulletuav.training.schedules import (
     default_run,
     shipped_run,
 )
-from bulletuav.training.trainer import train
+from bulletuav.training.trainer import check_algorithm, train
 
 SWARM = {"dynamics": "single_integrator", "observation": ["goal_offset", "intruders"]}
 FLIGHTS = [name for name in list_tasks() if issubclass(find_task(name), GoalFlight | Default)]
@@ -131,3 +134,21 @@ def test_crossing_is_learned_within_the_default_budget(tmp_path):
     rows = train(RunConfig(**{**vars(run), **changes}), tmp_path)
     assert rows[0]["safe_success"] == 0
     assert rows[-1]["safe_success"] >= 0.9
+
+
+@pytest.mark.parametrize("task", FAST_OWN)
+def test_fast_settings_replace_those_of_ppo(task, tmp_path):
+    run, usual, own = default_run(task, FAST), default_run(task), FAST_OWN[task]
+    assert run.algo == FAST
+    assert run.steps == own["steps"] < usual.steps
+    assert run.options.items() >= {**usual.options, **own["options"]}.items()
+    assert run.model.items() >= {**usual.model, **own["model"]}.items()
+    check_algorithm(run)
+    (tmp_path / "run.yaml").write_text(run.text())
+    assert RunConfig.read(tmp_path / "run.yaml").text() == run.text()
+
+
+def test_fast_settings_of_other_tasks_are_those_of_ppo():
+    run = default_run("converge", FAST)
+    assert dataclasses.replace(run, algo="ppo") == default_run("converge")
+    check_algorithm(run)

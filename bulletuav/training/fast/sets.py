@@ -140,6 +140,7 @@ class SetsWork(NamedTuple):
         values: (entities, 3, width, `BLOCK`) activations of the network of each entity.
         changes: (3, width, `BLOCK`) gradients.
         there: (entities, `BLOCK`) presence.
+        is_used: (entities,) bool, whether an entity is present in any sample of the block.
         winner: (G, size, `BLOCK`) float32, index of the entity with the maximum.
         turned: (`BLOCK`, width).
     """
@@ -147,6 +148,7 @@ class SetsWork(NamedTuple):
     values: np.ndarray
     changes: np.ndarray
     there: np.ndarray
+    is_used: np.ndarray
     winner: np.ndarray
     turned: np.ndarray
 
@@ -160,6 +162,7 @@ def make_sets_work(sets: Sets) -> SetsWork:
         np.zeros((entities, 3, width, BLOCK), np.float32),
         np.zeros((3, width, BLOCK), np.float32),
         np.zeros((entities, BLOCK), np.float32),
+        np.zeros(entities, bool),
         np.zeros((len(sets.kinds), sets.size, BLOCK), np.float32),
         np.zeros((BLOCK, width), np.float32),
     )
@@ -208,7 +211,13 @@ def compute_features(
     for g in range(sets.kinds.shape[0]):
         first = sets.kinds[g, 3]
         for q in range(first, first + sets.kinds[g, 0]):
-            forward(parameters, starts[g], widths[g], work.values[q], True)
+            # The network of an entity that no sample has is not computed
+            is_used = False
+            for s in range(BLOCK):
+                is_used = is_used or work.there[q, s] > ZERO
+            work.is_used[q] = is_used
+            if is_used:
+                forward(parameters, starts[g], widths[g], work.values[q], True)
         for j in range(size):
             total, most = features[own + 2 * size * g + j], features[own + (2 * g + 1) * size + j]
             winner = work.winner[g, j]
@@ -217,6 +226,11 @@ def compute_features(
                 most[s] = np.float32(-1.0)
             for q in range(first, first + sets.kinds[g, 0]):
                 each, there_q, index = work.values[q, 2, j], work.there[q], np.float32(q)
+                if not work.is_used[q]:
+                    for s in range(BLOCK):
+                        winner[s] = index if most[s] < ZERO else winner[s]
+                        most[s] = most[s] if most[s] > ZERO else ZERO
+                    continue
                 for s in range(BLOCK):
                     one = each[s] * there_q[s]
                     total[s] += HALF * one
@@ -249,6 +263,8 @@ def add_features_gradient(
     for g in range(sets.kinds.shape[0]):
         first = sets.kinds[g, 3]
         for q in range(first, first + sets.kinds[g, 0]):
+            if not work.is_used[q]:
+                continue
             there, index = work.there[q], np.float32(q)
             for j in range(size):
                 total, most = changes[own + 2 * size * g + j], changes[own + (2 * g + 1) * size + j]
