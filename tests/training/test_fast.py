@@ -11,6 +11,8 @@ import torch
 from torch import nn
 
 import bulletuav
+from bulletuav.adapters import c_source
+from bulletuav.adapters.deployed import deployed
 from bulletuav.adapters.slots import DroneSlots
 from bulletuav.adapters.swarm_features import SwarmFeatures
 from bulletuav.policies.neural_network import Network, read_weights
@@ -328,6 +330,26 @@ def test_a_policy_acts_as_the_learner_does(run):
         env.observation_labels,
     )
     np.testing.assert_allclose(network(rows), np.clip(means, -1, 1), atol=1e-5)
+
+
+@pytest.mark.skipif(c_source.find_compiler() is None, reason="needs a C compiler")
+def test_a_policy_is_exported_to_c(run, tmp_path):
+    policy = deployed(run[0])
+    source, _ = c_source.write_c(policy, tmp_path / "pilot.c", "double")
+    rows = policy.observations()
+    given = c_source.run_c(source, rows, policy, "double")
+    np.testing.assert_allclose(given, policy.act(rows), atol=1e-6)
+
+
+def test_a_policy_is_exported_to_onnx(run, tmp_path):
+    pytest.importorskip("onnxruntime", reason="needs the extra onnx")
+    from bulletuav.adapters.onnx import run_onnx, write_onnx
+
+    policy = deployed(run[0])
+    (path,) = write_onnx(policy, tmp_path / "pilot.onnx", "double")
+    rows = policy.observations()
+    given = run_onnx(path, rows, policy, "double")
+    np.testing.assert_allclose(given, policy.act(rows), atol=1e-6)
 
 
 WITHOUT = """
