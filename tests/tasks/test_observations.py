@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import bulletuav
 from bulletuav.envs.env_spec import EnvSpec
@@ -197,4 +198,15 @@ def test_a_reset_of_another_world_leaves_the_last_action_alone():
     rows = aviary.reset(np.array([False, True]))
     np.testing.assert_allclose(rows[0], 0.25)
     assert not rows[1].any()
+    aviary.close()
+
+
+def test_goal_and_upward_direction_in_body_axes():
+    blocks = ("body_goal_offset", "body_up", "goal_offset", "attitude")
+    aviary = bulletuav.Aviary("hover", difficulty="hard", observation=blocks, randomization={})
+    row = aviary.reset(seeds=0)[0, 0]
+    to_world = Rotation.from_quat(row[9:])
+    assert abs(row[5]) < 0.99  # it is tilted
+    np.testing.assert_allclose(to_world.apply(row[:3]), row[6:9], atol=1e-5)
+    np.testing.assert_allclose(to_world.apply(row[3:6]), (0, 0, 1), atol=1e-5)
     aviary.close()
