@@ -132,7 +132,7 @@ OWN: dict[str, dict[str, Any]] = {
 """Settings of single tasks, in addition to those of their kind"""
 FAST_OWN: dict[str, dict[str, Any]] = {
     "crossing": {
-        "steps": 500_000,
+        "steps": 650_000,
         "worlds": 32,
         "options": {"num_neighbours": 4},
         "model": {"batch_size": 1024, "n_epochs": 3, "learning_rate": [2e-3, 1e-5]},
