@@ -238,7 +238,7 @@ def fill_conflict(
     """
     num_drones = alive.shape[1]
     paths, results = (before, after), (separation, onsets, nearness)
-    # A program of one world at a time has arrays of one world
+    # `ByWorld` calls this with the arrays of one world
     for w in range(first, min(last, alive.shape[0])):
         if num_drones >= MIN_POINTS and _fill_by_grid(
             before, after, alive, w, d_safe, zone, separation, onsets, nearness

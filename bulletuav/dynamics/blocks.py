@@ -137,6 +137,8 @@ class Blocks(NamedTuple):
             rotors=lane_zeros(5, num_rotors),
             alone=np.zeros((3, num_rotors)),
             state=lane_zeros(13),
+            support=lane_zeros(1, 6),
+            load=lane_zeros(8),
             steering=self.steering._replace(remembered=remembered),
         )
 
