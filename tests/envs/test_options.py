@@ -129,7 +129,7 @@ BAD = [
     ("follow", {"target": "bird"}, "unknown target"),
     ("follow", {"target_speed": 15.0}, "below max_speed"),
     ("follow", {"distance": 1.0, "target": "drone"}, "too close to the target"),
-    ("follow", {"distance": 1.0, "num_drones": 3}, "overlap"),
+    ("follow", {"distance": 1.0, "num_drones": 3}, "raise distance, or lower start_offset"),
     ("follow", {"distance": 30.0, "start_offset": 12.0}, "drones could start"),
     ("follow", {"max_distance": 0.5}, "starts may be"),
     ("follow", {"preset": "hover_aviary"}, "task 'follow' has none"),

@@ -80,7 +80,7 @@ def unequal(monkeypatch):
     The drones see the first square, which fills up the shorter list.
     """
     block = city_of(((-60, -60, 0), (60, 60, 30)))
-    monkeypatch.setattr(city_layouts, "make_cities", lambda config: (block, TOWER))
+    monkeypatch.setattr(city_layouts, "make_cities", lambda config, drones: (block, TOWER))
     return [(-80.3, -3.1, 25.7)], (block, TOWER)
 
 

@@ -20,7 +20,8 @@ def game():
     made = []
 
     def make(start, teams, **options):
-        given = {"num_drones": sum(teams), "teams": teams, "start": start, "area": 100.0}
+        given = {"num_drones": sum(teams), "teams": teams, "start": start}
+        given |= {} if "city" in options else {"area": 100.0}
         made.append(bulletuav.Aviary("pursuit_evasion", **{**POINTS, **given, **options}))
         made[-1].reset(seeds=0)
         return made[-1]
