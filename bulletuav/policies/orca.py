@@ -230,7 +230,8 @@ def _sort_into_bins(nearby: _Nearby, found: int) -> None:
     for m in range(found):
         max_distance = max(max_distance, nearby.distance[m])
         first[m] = 0
-    scale = (found - 1) / max_distance if max_distance > 0.0 else 0.0
+    # Finite also if all drones are nearly at one point
+    scale = min((found - 1) / max_distance, 1e300) if max_distance > 0.0 else 0.0
     # Counting sort, as in `fill_grid`
     for m in range(found):
         first[int(nearby.distance[m] * scale)] += 1

@@ -135,6 +135,18 @@ def test_orca_searches_all_drones_if_a_position_is_not_finite():
 
 
 @pytest.mark.parametrize("drones", [20, 220])
+@pytest.mark.parametrize("step", [0.0, 1e-161, 1e-3])
+def test_orca_separates_drones_that_are_nearly_at_one_point(drones, step):
+    """The squares of their distances are subnormal numbers, which have no reciprocal."""
+    rules = AvoidanceParameters(1.0, 2.0, 1.0, 1.0, 1.0)
+    state = np.zeros((drones, 2, 3))
+    state[:, 0, 0] = step * np.arange(drones)
+    traffic = traffic_of(state, far=max_conflict_distance(rules))
+    found = orca_velocities(traffic, np.zeros((1, drones, 3)), rules)
+    assert np.isfinite(found).all()
+
+
+@pytest.mark.parametrize("drones", [20, 220])
 @pytest.mark.parametrize("size", [0.5, 20.0])
 def test_the_order_of_drones_does_not_matter_to_orca(drones, size):
     """Half-spaces are sorted by distance, also those of a cluster and of one drone far from it."""

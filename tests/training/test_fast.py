@@ -391,8 +391,22 @@ def test_training_needs_no_extra(tmp_path):
         ({"model": {"policy_kwargs": {"net_arch": [0]}}}, "net_arch is 0"),
         ({"model": {"policy_kwargs": {"net_arch": {"qf": [4]}}}}, "net_arch: fast_ppo has no"),
         (
-            {"model": {"policy_kwargs": {"features_extractor_kwargs": {"sizes": 4}}}},
-            "did you mean 'size'",
+            {"model": {"policy_kwargs": {"features_extractor_kwargs": {"scales": 4}}}},
+            "did you mean 'scale'",
+        ),
+        # They have an effect with other features only
+        (
+            {"model": {"policy_kwargs": {"features_extractor_kwargs": {"size": 4}}}},
+            "features_extractor_kwargs: fast_ppo has no setting 'size'",
+        ),
+        (
+            {
+                "model": {
+                    "features": None,
+                    "policy_kwargs": {"features_extractor_kwargs": {"scale": 4.0}},
+                }
+            },
+            "features_extractor_kwargs: fast_ppo has no setting 'scale': leave it out",
         ),
     ],
 )

@@ -9,12 +9,14 @@ from bulletuav.training.fast.ppo import Losses
 
 REMEDY = "choose --algo ppo"
 """Remedy for what only stable-baselines3 supports"""
-FEATURES = (None, "symlog", "swarm")
-"""Values of the setting `features`"""
+FEATURES: dict[str | None, tuple[str, ...]] = {
+    None: (),
+    "symlog": ("scale",),
+    "swarm": ("scale", "size"),
+}
+"""Values of the setting `features`, each with the names in its `features_extractor_kwargs`"""
 POLICY_SETTINGS = ("net_arch", "log_std_init", "features_extractor_kwargs")
 """Names in the setting `policy_kwargs`"""
-SET_SETTINGS = ("scale", "size")
-"""Names in `features_extractor_kwargs`"""
 FEATURE_SIZE = 32
 """Default number of outputs of the network of each entity"""
 MAX_COUNT = 10**9
@@ -64,7 +66,7 @@ def check_fast_settings(config: RunConfig) -> FastSettings:
     policy = _mapping("policy_kwargs", model["policy_kwargs"])
     _require_known("policy_kwargs: ", policy, POLICY_SETTINGS)
     extractor = _mapping("features_extractor_kwargs", policy.get("features_extractor_kwargs", {}))
-    _require_known("features_extractor_kwargs: ", extractor, SET_SETTINGS)
+    _require_known("features_extractor_kwargs: ", extractor, FEATURES[features])
     widths = policy.get("net_arch", [64, 64])
     both = widths if isinstance(widths, Mapping) else {"pi": widths, "vf": widths}
     _require_known("net_arch: ", both, ("pi", "vf"))
@@ -106,9 +108,10 @@ def _require_known(where: str, given: Mapping[str, Any], known: tuple[str, ...])
     """Raise ValueError for a name that the algorithm does not have."""
     for name in given:
         if name not in known:
+            hint = suggest_names(name, known) if known else "leave it out"
             raise ValueError(
-                f"{where}{FAST} has no setting {shown(name)}: {suggest_names(name, known)}; for "
-                f"all settings of stable-baselines3 {REMEDY}"
+                f"{where}{FAST} has no setting {shown(name)}: {hint}; for all settings of "
+                f"stable-baselines3 {REMEDY}"
             )
 
 
