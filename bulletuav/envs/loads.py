@@ -99,16 +99,23 @@ class LoadFlight:
             before[fresh] = part[fresh]
         cables = self._dynamics.cables
         cables.is_taut[fresh], cables.tension[fresh], cables.body[fresh] = False, 0.0, FREE
-        self._attach()
+        self._attach(fresh)
 
-    def _attach(self) -> None:
-        """Attach and detach cables as the memory of the task and the presence of drones demand."""
+    def _attach(self, worlds: np.ndarray | None = None) -> None:
+        """Attach and detach cables as the memory of the task and the presence of drones demand.
+
+        Args:
+            worlds: (W,) bool, worlds to do this in; None for all.
+        """
         cables, state = self._dynamics.cables, self._state
         wanted = (state.scene.memory[ATTACHED] > 0.0) & state.alive[:, self._owner]
         changed = wanted != (cables.body[..., 0] != FREE)
+        if worlds is not None:
+            changed &= worlds[:, None]
         if changed.any():
-            cables.body[:] = np.where(wanted[..., None], self._ends, FREE)
-            cables.is_taut[~wanted], cables.tension[~wanted] = False, 0.0
+            cables.body[changed] = np.where(wanted[..., None], self._ends, FREE)[changed]
+            detached = changed & ~wanted
+            cables.is_taut[detached], cables.tension[detached] = False, 0.0
             group_bodies(cables, np.flatnonzero(changed.any(axis=1)).tolist())
 
     def join(self) -> None:

@@ -108,6 +108,22 @@ def test_a_reset_of_one_world_leaves_the_loads_of_others():
     aviary.close()
 
 
+def test_a_reset_of_one_world_leaves_the_cables_of_an_ended_one():
+    aviary = bulletuav.Aviary("transport", 2, num_drones=2, battery_capacity=10.0)
+    charge = np.array([[1.0, 1.0], [0.003, 0.003]])
+    seen = aviary.reset(seeds=0, charge=charge)
+    for _ in range(150):
+        seen = fly(aviary, "transport_lift", 1, seen)[0].observations
+        if not aviary.alive[1].any():
+            break
+    # Cables of drones whose episode has ended are dropped in the next decision
+    assert aviary.alive.tolist() == [[True, True], [False, False]]
+    before = aviary.state_hash()
+    aviary.reset(np.array([True, False]))
+    assert aviary.state_hash()[1] == before[1]
+    aviary.close()
+
+
 def test_the_load_is_delivered_and_released():
     aviary = bulletuav.Aviary("transport", 4, num_drones=2)
     seen = aviary.reset(seeds=0)
