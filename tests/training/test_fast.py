@@ -281,8 +281,8 @@ def test_an_interrupted_run_goes_on_to_the_weights_of_one_that_was_not(run, tmp_
     assert len(Store(tmp_path, config()).rows) == 2
     train(config(), tmp_path)
     np.testing.assert_array_equal(weights(tmp_path), weights(run[0]))
-    told = [(folder / "updates.csv").read_text() for folder in (run[0], tmp_path)]
-    assert told[0] == told[1]
+    rows = [(folder / "updates.csv").read_text() for folder in (run[0], tmp_path)]
+    assert rows[0] == rows[1]
 
 
 def test_a_killed_run_goes_on_to_the_same_weights(run, tmp_path):

@@ -58,7 +58,7 @@ def learn_fast(
     """Train until all steps are done.
 
     Args:
-        config: FastSettings of the run.
+        config: Settings of the run.
         store: Storage of the run; if it has rows, the last checkpoint is restored.
         progress: Called with the number of finished steps.
         note: Called with a text when episodes end.
@@ -95,7 +95,7 @@ class FastPPO:
         """Draw initial weights from the seed of the run.
 
         Args:
-            config: FastSettings of the run.
+            config: Settings of the run.
             env: The training environment.
 
         Raises:
