@@ -30,25 +30,32 @@ class Results:
         names: Names of the T reward terms.
         unweighted: (T, W, N) reward terms.
         weighted: (T, W, N) weighted reward terms; the first rows of the table.
-        infos: (9, W, N) `INFOS`; the other rows of the table.
+        infos: (9, W, N) `INFOS`; the next rows of the table.
+        of_parts: Infos (W, N) of the task's parts, by name; the last rows of the table.
     """
 
-    def __init__(self, terms: list[str], shape: tuple[int, int], has_goals: bool) -> None:
+    def __init__(
+        self, terms: list[str], of_parts: list[str], shape: tuple[int, int], has_goals: bool
+    ) -> None:
         """Allocate the arrays.
 
         Args:
             terms: Names of the task's reward terms.
+            of_parts: Names of the infos of `Task.compiled_info_names`.
             shape: (W, N).
             has_goals: Whether infos have the distance to the goal.
         """
         self.names = terms
         self.unweighted = np.zeros((len(terms), *shape))
-        self._table = np.zeros((len(terms) + len(INFOS), *shape))
-        self.weighted = self._table[: len(terms)]
-        self.infos = self._table[-len(INFOS) :]
+        first, last = len(terms), len(terms) + len(INFOS)
+        self._table = np.zeros((last + len(of_parts), *shape))
+        self.weighted = self._table[:first]
+        self.infos = self._table[first:last]
+        self.of_parts = dict(zip(of_parts, self._table[last:], strict=True))
         left_out = None if has_goals else "goal_distance"
         standard = [(None if name == left_out else name, kind) for name, kind in INFOS.items()]
-        self._rows = [*((f"reward/{name}", float) for name in terms), *standard]
+        added = [(name, float) for name in of_parts]
+        self._rows = [*((f"reward/{name}", float) for name in terms), *standard, *added]
 
     @property
     def named_terms(self) -> dict[str, np.ndarray]:

@@ -14,7 +14,7 @@ from bulletuav.envs.stages.observe import Observe
 from bulletuav.envs.stages.report import WriteInfos
 from bulletuav.envs.stages.separate import Separate
 from bulletuav.envs.worlds import Worlds
-from bulletuav.tasks.check import check_info, check_step_result
+from bulletuav.tasks.check import check_info, check_step_result, require_new_infos
 from bulletuav.tasks.stages import add_outcome, clear
 
 DECIDES = "decides"
@@ -175,9 +175,11 @@ class Simulation:
         shape = self.worlds.state.alive.shape
         result = task.evaluate_step(frame)
         check_step_result(task, result, shape)
-        check_info(task, task.info(frame), shape)
+        info, compiled = task.info(frame), task.compiled_info_names()
+        check_info(task, info, shape)
+        require_new_infos(task, info, compiled)
         terms = [*result.terms, *task.extra_terms(frame)]
-        self.worlds.results = Results(terms, shape, task.has_goals)
+        self.worlds.results = Results(terms, compiled, shape, task.has_goals)
         worlds = self.worlds
         own = task.overrides_method("info") or worlds.masks is not None or self._has_rates
         self._has_further_infos = own or bool(

@@ -1,7 +1,7 @@
 """Validation of the values that a task returns: step results, infos, rewards, arenas, bodies."""
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Any
 
 import numpy as np
@@ -94,6 +94,22 @@ def check_info(task: Task[Any], info: Any, shape: tuple[int, int]) -> None:
                 f"{gave} {form} as {name!r}: an array {shape} (worlds, drones) is needed; "
                 f"np.broadcast_to makes one of a number"
             )
+
+
+def require_new_infos(
+    task: Task[Any], info: Mapping[str, np.ndarray], compiled: Collection[str]
+) -> None:
+    """Check that no info of a task has the name of one that compiled calls of its parts write.
+
+    Raises:
+        ValueError: If there is one.
+    """
+    both = info.keys() & compiled
+    if both:
+        raise ValueError(
+            f"info of task {task.name!r} gave {min(both)!r}, as a part of it does: "
+            f"choose another name"
+        )
 
 
 def require_finite(task: Task[Any], terms: Mapping[str, np.ndarray], reward: np.ndarray) -> None:

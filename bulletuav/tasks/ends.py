@@ -25,9 +25,9 @@ def at_goal(distance: float, goal_radius: float) -> bool:
 
 
 @end
-def held(has_held: bool) -> bool:
+def held(held: float, min_held: float) -> bool:
     """Return True if the drone was in place for long enough; see `Holding`."""
-    return has_held
+    return held >= min_held
 
 
 @end

@@ -31,7 +31,7 @@ from bulletuav.tasks.parts.flocks import (
     measure_group_size,
     measure_order,
 )
-from bulletuav.tasks.parts.holding import Holding
+from bulletuav.tasks.parts.holding import HoldingWhere
 from bulletuav.tasks.parts.wandering import Wanderer
 
 MAX_DRAWS = 1000
@@ -269,7 +269,7 @@ class Flocking(GoalFlight[FlockingConfig]):
                 other, or drones could start in conflict.
         """
         super().__init__(config, context)
-        self.holding = self.add(Holding(config.min_in_place, context, self.finished))
+        self.holding = self.add(HoldingWhere(config.min_in_place, context, self.finished))
         if not 0 < config.flock_speed < context.max_speed:
             raise ValueError(
                 f"flock_speed is {config.flock_speed:g} m/s: more than 0 and less than max_speed "

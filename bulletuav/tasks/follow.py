@@ -13,7 +13,7 @@ from bulletuav.registry import register
 from bulletuav.tasks.base import Task
 from bulletuav.tasks.config import TaskConfig
 from bulletuav.tasks.ends import collision, held, too_far
-from bulletuav.tasks.frame import Frame, Scene, Spawn, TaskContext
+from bulletuav.tasks.frame import Scene, Spawn, TaskContext
 from bulletuav.tasks.ingredients import reward
 from bulletuav.tasks.parts.base import Rngs
 from bulletuav.tasks.parts.holding import Holding
@@ -176,7 +176,7 @@ class Follow(Task[FollowConfig]):
         """
         super().__init__(config, context)
         self.safety = self.add(Safety(context.num_drones))
-        self.add(Holding(config.min_in_place, context, self._is_in_place))
+        self.add(Holding(config.min_in_place, context, config.goal_radius))
         target = find_choice("target", config.target, TARGETS)
         self._body = target.body
         self._height = target.height
@@ -225,11 +225,6 @@ class Follow(Task[FollowConfig]):
                 f"start_offset {config.start_offset:g} m is too large: "
                 f"drones could start {lowest:.3g} m up"
             )
-
-    def _is_in_place(self, frame: Frame) -> np.ndarray:
-        """Return which drones are at their stations, (W, N) bool."""
-        in_place: np.ndarray = frame.distance <= self.config.goal_radius
-        return in_place
 
     def obstacles(self) -> Sequence[Obstacle]:
         """Return the target, which is the only obstacle."""

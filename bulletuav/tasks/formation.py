@@ -19,7 +19,7 @@ from bulletuav.tasks.parts.base import Rngs
 from bulletuav.tasks.parts.difficulties import AIRSPACE_DIFFICULTIES
 from bulletuav.tasks.parts.formation_plan import FormationConfig, FormationPlan
 from bulletuav.tasks.parts.formations import Course, Leader, in_world, off_places, off_shape
-from bulletuav.tasks.parts.holding import Holding
+from bulletuav.tasks.parts.holding import HoldingWhere
 
 
 @reward
@@ -169,7 +169,7 @@ class Formation(GoalFlight[FormationConfig]):
         """
         super().__init__(config, context)
         self.plan = FormationPlan(config, context)
-        self.holding = self.add(Holding(config.min_in_place, context, self.finished))
+        self.holding = self.add(HoldingWhere(config.min_in_place, context, self.finished))
         turn = float(np.radians(config.turn_rate))
         clock = (context.duration, context.period)
         self.course = Course(config.leader_speed, turn, config.altitude, *clock)

@@ -13,7 +13,7 @@ from bulletuav.registry import register
 from bulletuav.tasks.base import Task
 from bulletuav.tasks.config import TaskConfig
 from bulletuav.tasks.ends import collision, held, too_far
-from bulletuav.tasks.frame import Frame, Spawn, TaskContext
+from bulletuav.tasks.frame import Spawn, TaskContext
 from bulletuav.tasks.given import PLACES
 from bulletuav.tasks.ingredients import reward
 from bulletuav.tasks.parts.base import Rngs
@@ -220,7 +220,7 @@ class Hover(Task[HoverConfig]):
         """
         super().__init__(config, context)
         self.safety = self.add(Safety(context.num_drones))
-        self.add(Holding(config.min_in_place, context, self._is_in_place))
+        self.add(Holding(config.min_in_place, context, config.goal_radius, config.land))
         if config.land and config.take_off:
             raise ValueError(
                 "land and take_off are both on: choose one, as drones would start at their targets"
@@ -240,11 +240,6 @@ class Hover(Task[HoverConfig]):
         self.arena_low[2] = 0.0
         if config.start is None:
             self._check_start()
-
-    def _is_in_place(self, frame: Frame) -> np.ndarray:
-        """Return which drones are at their targets, on the ground if they land, (W, N) bool."""
-        in_place: np.ndarray = frame.distance <= self.config.goal_radius
-        return in_place & frame.landed if self.config.land else in_place
 
     def _check_start(self) -> None:
         """Check that drawn starts cannot overlap or touch the ground."""

@@ -6,7 +6,7 @@ import pytest
 import bulletuav
 from bulletuav.policies import find_policy
 from bulletuav.tasks import find_task
-from bulletuav.tasks.parts.holding import count_in_place
+from bulletuav.tasks.parts.holding import count_in_place, count_near
 
 POINTS = {"dynamics": "single_integrator", "action": "velocity", "randomization": {}}
 TASKS = ["hover", "follow", "formation"]
@@ -98,3 +98,11 @@ def test_the_baseline_succeeds_and_a_late_arrival_or_an_early_departure_does_not
         success[name] = step.info["success"].mean()
         aviary.close()
     assert list(success.values()) == [1.0, 0.0, 0.0]
+
+
+@pytest.mark.parametrize(("lands", "counted"), [(False, [1, 1, 0, 0]), (True, [1, 0, 0, 0])])
+def test_active_drones_near_their_goals_count_where_they_land_only_on_the_ground(lands, counted):
+    held, alive = np.zeros((1, 4)), np.array([[True, True, True, False]])
+    landed = np.array([[True, False, True, True]])
+    count_near(alive, np.array([[0.5, 0.2, 0.6, 0.1]]), 0.5, landed, lands, held)
+    np.testing.assert_array_equal(held, [counted])

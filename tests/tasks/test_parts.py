@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import bulletuav
+from bulletuav.compiled.kernel import kernel
 from bulletuav.tasks import Spawn, Task, end, find_task
 from bulletuav.tasks.goal_flight import FlightConfig, GoalFlight
 from bulletuav.tasks.observations.base import make_drone_block
@@ -159,6 +160,71 @@ def test_two_parts_of_one_name_are_refused():
 
     with pytest.raises(ValueError, match="two parts define 'one'"):
         bulletuav.Aviary(Twice, **QUICK)
+
+
+@kernel
+def add_speeds(velocity, time, total, speed):
+    for w in range(time.shape[0]):
+        for i in range(velocity.shape[1]):
+            total[w, i] += velocity[w, i, 0] if speed > 0 else 0.0
+
+
+@kernel
+def write_mean(total, time, eastward):
+    for w in range(time.shape[0]):
+        for i in range(total.shape[1]):
+            eastward[w, i] = total[w, i] / max(time[w], 1e-9)
+
+
+class Eastward(Part):
+    """Sums velocities, and reports their sum by time, in compiled calls."""
+
+    compiled_infos = ("eastward",)
+
+    def memory(self):
+        return {"total": (2,)}
+
+    def memory_calls(self, frame):
+        total = frame.scene.memory["total"]
+        return ((add_speeds, frame.after.velocity, frame.time, total, 1.0),)
+
+    def info_calls(self, frame, infos):
+        return ((write_mean, frame.scene.memory["total"], frame.time, infos["eastward"]),)
+
+
+class Moving(Counting):
+    """A task with infos of compiled calls."""
+
+    name = "moving"
+
+    def __init__(self, config, context):
+        super().__init__(config, context)
+        self.add(Eastward())
+
+
+def test_compiled_calls_of_parts_update_memory_and_write_infos():
+    with contextlib.closing(bulletuav.Aviary(Moving, **QUICK)) as aviary:
+        aviary.reset(seeds=0)
+        assert not aviary.first_info()["eastward"].any()
+        period, total = 1.0 / aviary.options.decision_hz, np.zeros(2)
+        for k in range(1, 4):
+            info = aviary.step(np.array([[[0.1 * k, 0.0, 0.0], [0.0, 0.0, 0.0]]])).info
+            total += aviary.swarm.velocity[0, :, 0]
+            np.testing.assert_allclose(info["eastward"], [total / (k * period)])
+        assert total[0] > 0 == total[1]
+        aviary.reset(seeds=1)
+        assert not aviary.first_info()["eastward"].any()
+
+
+def test_infos_of_tasks_and_of_compiled_calls_have_different_names():
+    def info(self, frame):
+        return {**super(Moving, self).info(frame), "eastward": np.zeros(frame.alive.shape)}
+
+    again = type("Again", (Moving,), {"name": "moving_again", "info": info})
+    message = "gave 'eastward', as a part of it does: choose"
+    aviary = bulletuav.Aviary(again, **QUICK)
+    with contextlib.closing(aviary), pytest.raises(ValueError, match=message):
+        aviary.reset(seeds=0)
 
 
 @end

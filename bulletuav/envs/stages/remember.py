@@ -6,7 +6,7 @@ from bulletuav.envs.worlds import Worlds
 
 
 class Remember(Stage):
-    """Let the task update its memory, by `Task.update_memory`."""
+    """Let the task update its memory, by its parts and by `Task.update_memory`."""
 
     name = "remember"
     reads = ("before", "swarm", "scene", "flown", "account", "readings", "rng")
@@ -17,3 +17,7 @@ class Remember(Stage):
         task = worlds.task
         if task.overrides_method("update_memory"):
             program.callback(lambda: task.update_memory(worlds.frame, worlds.rng))
+        # Afterwards, as tasks decide there what is a collision
+        for part in task.parts:
+            for call in part.memory_calls(worlds.frame):
+                program.call(*call)

@@ -9,10 +9,10 @@ from bulletuav.envs.worlds import Worlds
 
 
 class WriteInfos(Stage):
-    """Write infos in addition to reward terms."""
+    """Write infos in addition to reward terms, also those of the task's parts."""
 
     name = "report"
-    reads = ("success", "flown", "account", "energy")
+    reads = ("success", "flown", "account", "energy", "scene", "time")
     writes = ("results",)
 
     def add_to(self, program: Program, worlds: Worlds) -> None:
@@ -27,6 +27,9 @@ class WriteInfos(Stage):
             (energy["power"], energy["charge"]),
             worlds.results.infos,
         )
+        for part in worlds.task.parts:
+            for call in part.info_calls(worlds.frame, worlds.results.of_parts):
+                program.call(*call)
 
 
 @kernel

@@ -2,7 +2,7 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -21,7 +21,12 @@ class Part:
     correspond to those of `Task` of the same names, where arguments and results are documented; by
     default all do nothing. Observation blocks, reward terms and ends stay with the task; they read
     the part's `memory` and `quantities` by name.
+
+    Attributes:
+        compiled_infos: Names of the infos that `info_calls` writes, in addition to those of `info`.
     """
+
+    compiled_infos: ClassVar[tuple[str, ...]] = ()
 
     def obstacles(self) -> Sequence[Obstacle]:
         """Return the part's obstacles in every world; those of all parts are concatenated."""
@@ -57,6 +62,19 @@ class Part:
         """Return the bounds of these arrays, by name."""
         return {}
 
+    def memory_calls(self, frame: Frame) -> Sequence[tuple[Any, ...]]:
+        """Return compiled calls that update these arrays after a decision.
+
+        They run after `update_memory` of the task and all parts, and take less time.
+
+        Args:
+            frame: The frame of all decisions, whose arrays last, unlike those of `derived`.
+
+        Returns:
+            Kernels, see `bulletuav.compiled.kernel`, each with its arguments.
+        """
+        return ()
+
     def update_memory(self, frame: Frame, rngs: Rngs) -> None:
         """Update these arrays after a decision."""
 
@@ -79,6 +97,17 @@ class Part:
     def info(self, frame: Frame) -> dict[str, np.ndarray]:
         """Return the part's infos, (W, N) by name."""
         return {}
+
+    def info_calls(
+        self, frame: Frame, infos: Mapping[str, np.ndarray]
+    ) -> Sequence[tuple[Any, ...]]:
+        """Return compiled calls that write the infos `compiled_infos`, in less time than `info`.
+
+        Args:
+            frame: See `memory_calls`, like the result.
+            infos: Arrays (W, N) to write, by name.
+        """
+        return ()
 
     def world_state(self) -> Mapping[str, Block]:
         """Return the part's blocks of the global state, by name."""

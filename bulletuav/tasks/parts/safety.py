@@ -1,13 +1,13 @@
 """Safety of drones: conflicts and collisions, which rule out success."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from bulletuav.compiled.kernel import kernel
 from bulletuav.tasks.frame import Frame
-from bulletuav.tasks.parts.base import Part, Rngs
+from bulletuav.tasks.parts.base import Part
 
 
 class Safety(Part):
@@ -30,10 +30,12 @@ class Safety(Part):
         """Return the shape of "violations" (N,), number of conflicts and collisions so far."""
         return {"violations": (self._num_drones,)}
 
-    def update_memory(self, frame: Frame, rngs: Rngs) -> None:
+    def memory_calls(self, frame: Frame) -> Sequence[tuple[Any, ...]]:
         """Count the decision's conflicts that began, and its collisions."""
         violations = frame.scene.memory["violations"]
-        count_violations(frame.alive, frame.conflict.onsets, frame.collision, violations)
+        return (
+            (count_violations, frame.alive, frame.conflict.onsets, frame.collision, violations),
+        )
 
     def quantities(self) -> Mapping[str, Any]:
         """Return `is_safe` for ingredients."""
