@@ -35,7 +35,8 @@ class DroneSlots(Environment):
     "terminal_observation", "TimeLimit.truncated" (True if only the horizon, or a change of stage,
     ended the episode), "is_success", and "episode" with the totals of that drone: return "r",
     decisions "l", seconds "t", "conflicts", "collision" and the return of each reward term
-    ("reward/goal", ...).
+    ("reward/goal", ...). With `has_terminal_states` they also have "terminal_state", the state of
+    the world before its reset.
 
     With several stages, all worlds are in the same stage, which the success rate of the last
     episodes determines, see `Curriculum`. The number of slots is that of the largest stage.
@@ -49,6 +50,8 @@ class DroneSlots(Environment):
         observation_space: Observation space of a drone.
         action_space: Action space of a drone.
         labels: Labels of the numbers of an observation, the same in all stages.
+        has_terminal_states: Whether infos have "terminal_state"; False, unless a learner with a
+            central critic sets it.
     """
 
     def __init__(
@@ -100,6 +103,8 @@ class DroneSlots(Environment):
         widest = max(specs, key=lambda spec: spec.options.num_drones)
         self.num_worlds = num_worlds
         self.labels = widest.observer.labels
+        self._state_sizes = [len(spec.state.labels) for spec in specs]
+        self.has_terminal_states = False
         self.num_drones = widest.options.num_drones
         self._render_mode = widest.options.render_mode
         require_single(self._render_mode, len(specs))
@@ -253,12 +258,15 @@ class DroneSlots(Environment):
         """
         infos: list[Info] = [{} for _ in range(self.num_envs)]
         aviary, totals = self.aviary, self._totals[self._stage]
+        states = aviary.state() if self.has_terminal_states and ended.any() else None
         # One info for each drone whose episode ended; all others stay empty
         for w, i in np.argwhere(ended).tolist():
             info: Info = {
                 "terminal_observation": part(observations, (w, i)),
                 "TimeLimit.truncated": not aviary.terminated[w, i],
             }
+            if states is not None:
+                info["terminal_state"] = states[w]
             if not cut[w]:
                 own, decisions = totals.of_drone(w, i), int(aviary.steps[w])
                 info["is_success"] = bool(own.pop("success"))
@@ -291,6 +299,29 @@ class DroneSlots(Environment):
             return kept.astype(array.dtype, copy=False)
 
         return _by_slot(observations, rows)
+
+    @property
+    def state_size(self) -> int:
+        """Number K of numbers of the global state.
+
+        Raises:
+            ValueError: If stages differ in it.
+        """
+        if len(set(self._state_sizes)) > 1:
+            sizes = ", ".join(map(str, self._state_sizes))
+            raise ValueError(
+                f"the global states of the stages have {sizes} numbers, and one size is needed: "
+                f"use the same num_drones, and the same numbers of other objects, in all stages"
+            )
+        return self._state_sizes[0]
+
+    def state(self) -> np.ndarray:
+        """Return the global state of each world.
+
+        Returns:
+            (W, K) float32; see `Aviary.state`.
+        """
+        return self.aviary.state()
 
     def action_masks(self) -> np.ndarray:
         """Return the mask of each slot, as MaskablePPO of sb3-contrib asks for it.

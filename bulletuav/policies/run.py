@@ -39,8 +39,8 @@ SB3_ALGORITHMS = ("ppo", "sac", "td3", "dqn", "a2c", "ddpg")
 """Training algorithms of stable-baselines3"""
 ALGORITHMS = (*SB3_ALGORITHMS, FAST)
 """All training algorithms"""
-MASKABLE = "ppo"
-"""Algorithm that learns with masks of actions, as MaskablePPO of sb3-contrib"""
+MASKABLE = ("ppo", FAST)
+"""Algorithms that learn with masks of actions; "ppo" as MaskablePPO of sb3-contrib"""
 INTERFACE = (
     "action",
     "decision_hz",
@@ -103,6 +103,7 @@ DEFAULTS: dict[str, dict[str, Any]] = {
         "ent_coef": 0.0,
         "vf_coef": 0.5,
         "max_grad_norm": 0.5,
+        "critic": "own",
         "policy_kwargs": {"net_arch": [64, 64], "log_std_init": -1.0},
     },
     "a2c": {"n_steps": 16, "learning_rate": 7e-4, "gamma": 0.99},
@@ -186,10 +187,10 @@ class RunConfig:
                 raise ValueError(
                     "stages: action_masks is the same in all stages: set it in options instead"
                 )
-        if self.action_masks and self.algo != MASKABLE:
+        if self.action_masks and self.algo not in MASKABLE:
             raise ValueError(
                 f"action_masks is True, and algorithm {self.algo!r} ignores masks: choose "
-                f"{MASKABLE!r}, or leave action_masks out"
+                f"{' or '.join(map(repr, MASKABLE))}, or leave action_masks out"
             )
         resolve_options(task, self.evaluated)
 

@@ -1,6 +1,7 @@
 """PPO without PyTorch: its kernels against PyTorch, its runs, and its settings."""
 
 import dataclasses
+import itertools
 import signal
 import subprocess
 import sys
@@ -20,7 +21,12 @@ from bulletuav.policies.run import FAST, RunConfig
 from bulletuav.policies.swarm_features import find_layout
 from bulletuav.training.fast.dense import adam, draw_orthogonal
 from bulletuav.training.fast.learner import FastPPO
-from bulletuav.training.fast.ppo import compute_advantages, compute_gradient, run_networks
+from bulletuav.training.fast.ppo import (
+    compute_advantages,
+    compute_gradient,
+    run_networks,
+    sample_choices,
+)
 from bulletuav.training.fast.sets import count_encoded, encode
 from bulletuav.training.schedules import default_run
 from bulletuav.training.segments import make_slots
@@ -67,8 +73,11 @@ def collected(**changes):
     return learner, env
 
 
-def torch_loss(learner, env, weights, rows, seen, losses):
-    """Loss of PPO, and the parameters of which it is a function."""
+def torch_loss(learner, env, weights, rows, seen, state, masks, losses):
+    """Loss of PPO, and the parameters of which it is a function.
+
+    State (B, K) is the input of a central critic, and masks (B, C) are those of choices.
+    """
     parameters = {name: torch.tensor(array, requires_grad=True) for name, array in weights.items()}
     settings = learner._settings
     if settings.features == "swarm":
@@ -97,17 +106,29 @@ def torch_loss(learner, env, weights, rows, seen, losses):
         )
 
     actions, before, advantages, returns = rows
-    std = parameters["log_std"].exp()
-    normal = torch.distributions.Normal(network("policy", "action_net", known), std)
-    ratio = (normal.log_prob(actions).sum(1) - before).exp()
+    outputs = network("policy", "action_net", known)
+    if "log_std" in parameters:
+        normal = torch.distributions.Normal(outputs, parameters["log_std"].exp())
+        log_prob, entropy = normal.log_prob(actions).sum(1), normal.entropy().sum(1).mean()
+    else:
+        if masks.shape[1]:
+            outputs = torch.where(masks, outputs, torch.tensor(-1e8))
+        choices = torch.distributions.Categorical(logits=outputs)
+        log_prob, entropy = choices.log_prob(actions[:, 0]), choices.entropy().mean()
+    ratio = (log_prob - before).exp()
     advantages = (advantages - advantages.mean()) / (advantages.std() + 1e-8)
     clipped = ratio.clamp(1 - losses.clip, 1 + losses.clip)
     policy = -torch.minimum(ratio * advantages, clipped * advantages).mean()
+    known = torch.cat([known, state.sign() * state.abs().log1p()], 1)
     value = (network("value", "value_net", known)[:, 0] - returns).square().mean()
-    loss = policy + losses.value * value - losses.entropy * normal.entropy().sum(1).mean()
-    return loss, parameters, (policy.item(), value.item(), (ratio - clipped != 0).float().mean())
+    loss = policy + losses.value * value - losses.entropy * entropy
+    is_clipped = (ratio - clipped != 0).float().mean()
+    kl = (ratio - 1 - (log_prob - before)).mean()
+    parts = (policy, value, -entropy, is_clipped, kl)
+    return loss, parameters, [part.item() for part in parts]
 
 
+MASKED = {"action": "discrete_27", "action_masks": True}
 SHAPES = {
     "swarm": {},
     "no features": {"model": {**MODEL, "features": None}},
@@ -119,12 +140,22 @@ SHAPES = {
             "policy_kwargs": {"net_arch": {"pi": [7], "vf": []}},
         }
     },
+    "central critic": {"model": {**MODEL, "critic": "state"}},
+    "choices, entropy": {
+        "options": {**OPTIONS, "action": "discrete"},
+        "model": {**MODEL, "ent_coef": 0.3},
+    },
+    "masks, central critic": {
+        "options": {**OPTIONS, **MASKED},
+        "model": {**MODEL, "features": None, "ent_coef": 0.3, "critic": "state"},
+    },
 }
 
 
 @pytest.mark.parametrize("changes", SHAPES.values(), ids=SHAPES)
 def test_gradients_are_those_of_pytorch(changes):
     learner, env = collected(**changes)
+    seen, states = _observations(learner, changes)
     rollout, rng = learner._rollout, np.random.default_rng(0)
     learner.parameters[:] += 0.1 * rng.standard_normal(len(learner.parameters), np.float32)
     compute_advantages(rollout, 0.9, 0.9)
@@ -132,7 +163,7 @@ def test_gradients_are_those_of_pytorch(changes):
     rollout.log_densities[:] += 0.3 * rng.standard_normal(rollout.rewards.shape)
     flown = rng.permutation(np.flatnonzero(~np.isnan(rollout.rewards)))[:75]
     own = learner._settings.losses
-    found = np.zeros(4)
+    found = np.zeros(5)
     compute_gradient(
         learner.parameters,
         learner._gradient,
@@ -146,25 +177,103 @@ def test_gradients_are_those_of_pytorch(changes):
     t, m = np.divmod(flown, env.num_envs)
     arrays = (rollout.actions, rollout.log_densities, rollout.advantages, rollout.returns)
     rows = [torch.tensor(array[t, m]) for array in arrays]
-    seen = torch.tensor(_observations(learner, changes, env)[t, m])
+    seen, masks = torch.tensor(seen[t, m]), torch.tensor(rollout.masks[t, m])
+    state = torch.tensor(states[t, m // env.num_drones])
     weights = {name: array.copy() for name, array in learner.named_weights().items()}
-    loss, parameters, parts = torch_loss(learner, env, weights, rows, seen, own)
+    loss, parameters, parts = torch_loss(learner, env, weights, rows, seen, state, masks, own)
     loss.backward()
     learner.parameters[:] = learner._gradient
     for name, gradient in learner.named_weights().items():
         expected = parameters[name].grad.numpy()
         np.testing.assert_allclose(gradient, expected, rtol=1e-3, atol=1e-5, err_msg=name)
-    np.testing.assert_allclose(found[:3], parts, rtol=1e-4, atol=1e-6)
+    np.testing.assert_allclose(found, parts, rtol=1e-4, atol=1e-6)
 
 
-def _observations(learner, changes, env):
-    """Observations of the rollout, from a second one with the same seed."""
+def numpy_loss(parameters, learner, chosen):
+    """Loss of PPO with choices and a central critic, without features, in double precision."""
+    networks, rollout, losses = learner.networks, learner._rollout, learner._settings.losses
+    slots = rollout.rewards.shape[1]
+    t, m = np.divmod(chosen, slots)
+    seen = rollout.encoded[t, m, : networks.actor[0]].astype(float)
+    state = rollout.states[t, m * rollout.states.shape[1] // slots].astype(float)
+
+    def network(start, widths, values):
+        for k, (inputs, outputs) in enumerate(itertools.pairwise(widths)):
+            end = start + inputs * outputs
+            weight = parameters[start:end].reshape(outputs, inputs)
+            values = (np.tanh(values) if k else values) @ weight.T + parameters[end : end + outputs]
+            start = end + outputs
+        return values
+
+    logits = network(networks.actor_start, networks.actor, seen)
+    logits = np.where(rollout.masks[t, m], logits, -1e8)
+    logs = logits - np.log(np.exp(logits).sum(1, keepdims=True))
+    entropy = -(np.exp(logs) * logs).sum(1).mean()
+    log_prob = logs[np.arange(len(t)), rollout.actions[t, m, 0].astype(int)]
+    ratio = np.exp(log_prob - rollout.log_densities[t, m])
+    gain = rollout.advantages[t, m].astype(float)
+    gain = (gain - gain.mean()) / (gain.std(ddof=1) + 1e-8)
+    clipped = ratio.clip(1 - losses.clip, 1 + losses.clip)
+    critic = network(networks.critic_start, networks.critic, np.concatenate([seen, state], 1))
+    value = ((critic[:, 0] - rollout.returns[t, m]) ** 2).mean()
+    policy = -np.minimum(ratio * gain, clipped * gain).mean()
+    return policy + losses.value * value - losses.entropy * entropy
+
+
+def test_gradients_are_finite_differences_of_the_loss():
+    learner, _ = collected(**SHAPES["masks, central critic"])
+    rollout, rng = learner._rollout, np.random.default_rng(0)
+    learner.parameters[:] += 0.1 * rng.standard_normal(len(learner.parameters), np.float32)
+    compute_advantages(rollout, 0.9, 0.9)
+    rollout.log_densities[:] += 0.3 * rng.standard_normal(rollout.rewards.shape)
+    chosen = rng.permutation(np.flatnonzero(~np.isnan(rollout.rewards)))[:75]
+    t, m = np.divmod(chosen, rollout.rewards.shape[1])
+    assert not rollout.masks[t, m].all()
+    compute_gradient(
+        learner.parameters,
+        learner._gradient,
+        learner.networks,
+        learner._work,
+        rollout,
+        chosen,
+        learner._settings.losses,
+        np.zeros(5),
+    )
+    parameters = learner.parameters.astype(float)
+    for k in rng.permutation(len(parameters))[:200]:
+        around = []
+        for change in (1e-5, -1e-5):
+            moved = parameters.copy()
+            moved[k] += change
+            around.append(numpy_loss(moved, learner, chosen))
+        difference = (around[0] - around[1]) / 2e-5
+        assert learner._gradient[k] == pytest.approx(difference, rel=1e-3, abs=1e-5)
+
+
+def test_choices_are_drawn_by_their_probabilities():
+    # Probabilities 1/6, 2/6, 3/6; and 1/4, 0, 3/4 where the second choice is masked
+    uniform = np.linspace(0.0, 0.99, 100, dtype=np.float32)
+    for valid, bounds in (([], [1 / 6, 3 / 6, 1.0]), ([True, False, True], [0.25, 0.25, 1.0])):
+        logits = np.tile(np.log(np.array([1, 2, 3], np.float32)), (100, 1))
+        masks = np.tile(np.array(valid, bool), (100, 1))
+        actions, logs = np.zeros((100, 1), np.float32), np.zeros(100, np.float32)
+        sample_choices(uniform, logits, masks, actions, logs)
+        expected = np.searchsorted(bounds, uniform, side="right")
+        np.testing.assert_array_equal(actions[:, 0], expected)
+        shares = np.diff([0.0, *bounds])[expected]
+        np.testing.assert_allclose(np.exp(logs), shares, rtol=1e-6)
+
+
+def _observations(learner, changes):
+    """Observations and states of the rollout, from a second one with the same seed."""
     again, other = collected(**changes)
-    seen = []
+    seen, states = [], []
     step = other.step_async
+    size = learner._rollout.states.shape[2]
 
     def spy(actions):
         seen.append(again._seen)
+        states.append(other.state()[:, :size])
         step(actions)
 
     other.step_async = spy
@@ -172,7 +281,7 @@ def _observations(learner, changes, env):
     again.num_steps = 0
     again.collect(NoSegments())
     np.testing.assert_array_equal(again._rollout.actions, learner._rollout.actions)
-    return np.array(seen)
+    return np.array(seen), np.array(states)
 
 
 def test_advantages_are_sums_of_discounted_errors_of_an_episode():
@@ -241,6 +350,33 @@ def test_values_of_truncated_episodes_are_added_to_the_last_reward():
     np.testing.assert_allclose(rewards[1] - rewards[0], expected, atol=1e-5)
 
 
+def test_values_of_truncated_episodes_are_of_the_state_before_the_reset():
+    options = {**OPTIONS, "horizon": 3}
+    linear = {"net_arch": {"pi": [8], "vf": []}}
+    model = {**MODEL, "n_steps": 3, "critic": "state", "policy_kwargs": linear}
+    learner, env = collected(options=options, model=model)
+    rewards = learner._rollout.rewards.copy()
+    actions = np.clip(learner._rollout.actions, -1, 1)
+    # The critic returns the logarithm of the height of the second drone
+    learner.parameters[:] = 0.0
+    height = env.aviary.global_state.labels.index(
+        next(one for one in env.aviary.global_state.labels if one.name == "z of drone_1")
+    )
+    number = learner.networks.actor[0] + height
+    learner.named_weights()["value_net.weight"][0, number] = 1.0
+    env.step_async = lambda given, step=env.step_async: step(next(again))
+    again = iter(actions)
+    learner.begin_segment(5)
+    learner.collect(NoSegments())
+    other = bulletuav.batch_env("converge", 2, **options)
+    other.reset(seed=5)
+    for each in actions:
+        other.step(each.reshape(2, 3, -1))
+    expected = 0.99 * np.log1p(other.state()[:, height]).repeat(3)
+    np.testing.assert_allclose(learner._rollout.rewards[2] - rewards[2], expected, atol=1e-5)
+    np.testing.assert_array_equal(learner._rollout.rewards[:2], rewards[:2])
+
+
 def weights(folder):
     found = read_weights(folder / "policy.safetensors")
     return np.concatenate([found[name].ravel() for name in sorted(found)])
@@ -285,6 +421,68 @@ def test_an_interrupted_run_goes_on_to_the_weights_of_one_that_was_not(run, tmp_
     assert rows[0] == rows[1]
 
 
+OTHERS = {
+    "central critic": {"model": {**MODEL, "critic": "state"}},
+    "choices": {"options": {**OPTIONS, "action": "discrete"}},
+    "masks": {"options": {**OPTIONS, **MASKED}},
+}
+
+
+@pytest.mark.parametrize("changes", OTHERS.values(), ids=OTHERS)
+def test_runs_with_other_critics_and_actions_are_resumed_and_flown(changes, tmp_path):
+    def progress(done):
+        if done > 250:
+            raise KeyboardInterrupt
+
+    run = config(**changes)
+    whole, cut = tmp_path / "whole", tmp_path / "cut"
+    train(run, whole)
+    with pytest.raises(KeyboardInterrupt):
+        train(run, cut, progress)
+    train(run, cut)
+    np.testing.assert_array_equal(weights(cut), weights(whole))
+    # The policy flies as the learner, which then chooses the action of the largest output
+    env = make_slots(run, DroneSlots)
+    learner = FastPPO(run, env)
+    learner.restore(max(whole.glob("checkpoints/*")))
+    learner.begin_segment(0)
+    learner._observe(0)
+    outputs, rollout = learner._outputs, learner._rollout
+    learner._run(rollout.encoded[0], rollout.states[0], outputs, rollout.values[0])
+    network = Network(read_weights(whole / "policy.safetensors"), FAST, run.settings, env.labels)
+    masks = env.action_masks() if run.action_masks else None
+    acted = network(learner._seen, masks)
+    if learner.networks.choices:
+        outputs[masks == np.False_] = -np.inf
+        expected = outputs.argmax(1)[:, None]
+    else:
+        expected = np.clip(outputs, -1, 1)
+    np.testing.assert_allclose(acted, expected, atol=1e-5)
+
+
+def test_a_central_critic_has_the_names_of_stable_baselines3(tmp_path):
+    learner, env = collected(**OTHERS["central critic"])
+    learner.save(tmp_path)
+    found = read_weights(tmp_path / "policy.safetensors")
+    features = found["mlp_extractor.policy_net.0.weight"].shape[1]
+    assert found["mlp_extractor.value_net.0.weight"].shape == (64, features + env.state_size)
+
+
+def test_a_policy_of_choices_is_exported(tmp_path):
+    pytest.importorskip("onnxruntime", reason="needs the extra onnx")
+    from bulletuav.adapters.onnx import run_onnx, write_onnx
+
+    train(config(**OTHERS["choices"]), tmp_path / "run")
+    policy = deployed(tmp_path / "run")
+    rows = policy.observations()
+    (path,) = write_onnx(policy, tmp_path / "pilot.onnx", "double")
+    np.testing.assert_allclose(run_onnx(path, rows, policy, "double"), policy.act(rows), atol=1e-6)
+    if c_source.find_compiler() is not None:
+        source, _ = c_source.write_c(policy, tmp_path / "pilot.c", "double")
+        given = c_source.run_c(source, rows, policy, "double")
+        np.testing.assert_allclose(given, policy.act(rows), atol=1e-6)
+
+
 def test_a_killed_run_goes_on_to_the_same_weights(run, tmp_path):
     (tmp_path / "run.yaml").write_text(config().text())
     code = (
@@ -322,7 +520,10 @@ def test_a_policy_acts_as_the_learner_does(run):
     encoded = np.zeros((6, count_encoded(learner.networks.sets)), np.float32)
     encode(rows, learner.networks.sets, encoded)
     means, values = np.zeros((6, 3), np.float32), np.zeros(6, np.float32)
-    run_networks(learner.parameters, learner.networks, learner._work, encoded, means, values)
+    states = np.zeros((6, 0), np.float32)
+    run_networks(
+        learner.parameters, learner.networks, learner._work, encoded, states, means, values
+    )
     network = Network(
         read_weights(folder / "policy.safetensors"),
         FAST,
@@ -386,6 +587,7 @@ def test_training_needs_no_extra(tmp_path):
         ({"model": {"gamma": 1.5}}, "gamma is 1.5"),
         ({"model": {"learning_rate": [1, 2, 3]}}, "learning_rate is"),
         ({"model": {"features": "user_sum"}}, "fast_ppo: unknown features 'user_sum'"),
+        ({"model": {"critic": "stat"}}, "unknown critic 'stat': did you mean 'state'"),
         ({"model": {"policy_kwargs": {"activation_fn": 1}}}, "policy_kwargs: fast_ppo has no"),
         ({"model": {"policy_kwargs": 3}}, "policy_kwargs is 3"),
         ({"model": {"policy_kwargs": {"net_arch": [0]}}}, "net_arch is 0"),
@@ -415,16 +617,17 @@ def test_settings_that_cannot_be_are_refused(changes, said):
         check_algorithm(config(**changes))
 
 
-@pytest.mark.parametrize(
-    ("options", "said"),
-    [
-        ({"action": "discrete"}, "these are discrete: choose --algo ppo"),
-        ({"observation": ["goal_offset", "depth"]}, "not from pictures: choose --algo ppo"),
-    ],
-)
-def test_what_only_stable_baselines3_learns_is_refused(options, said, tmp_path):
-    with pytest.raises(ValueError, match=said):
-        train(config(options={**OPTIONS, **options}, model={}), tmp_path)
+def test_pictures_are_refused(tmp_path):
+    options = {**OPTIONS, "observation": ["goal_offset", "depth"]}
+    with pytest.raises(ValueError, match="not from pictures: choose --algo ppo"):
+        train(config(options=options, model={}), tmp_path)
+
+
+def test_a_central_critic_of_stages_with_other_states_is_refused(tmp_path):
+    stages = [{"num_drones": 2}, {"num_drones": 4}]
+    run = config(stages=stages, model={**MODEL, "critic": "state"})
+    with pytest.raises(ValueError, match="critic is 'state': the global states of the stages have"):
+        train(run, tmp_path)
 
 
 def test_mlflow_is_refused(tmp_path):

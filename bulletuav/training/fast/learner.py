@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from gymnasium.spaces import Box
+from gymnasium.spaces import Box, Discrete
 from safetensors import SafetensorError, safe_open
 
 from bulletuav.adapters.slots import DroneSlots
@@ -30,6 +30,7 @@ from bulletuav.training.fast.ppo import (
     compute_advantages,
     run_networks,
     sample_actions,
+    sample_choices,
     update_networks,
 )
 from bulletuav.training.fast.sets import (
@@ -48,7 +49,13 @@ EXTRACTORS = ("features_extractor", "pi_features_extractor", "vf_features_extrac
 """Names under which stable-baselines3 stores the features that actor and critic share"""
 LAST_FEATURE = 0.02
 """Bound of the initial weights of the last layer of entities, so that own numbers come first"""
-STATISTICS = ("policy_gradient_loss", "value_loss", "clip_fraction", "approx_kl")
+STATISTICS = (
+    "policy_gradient_loss",
+    "value_loss",
+    "entropy_loss",
+    "clip_fraction",
+    "approx_kl",
+)
 """Names of the statistics of an update, those of stable-baselines3 after "train/" """
 
 
@@ -107,40 +114,50 @@ class FastPPO:
         observed, acted = env.observation_space, env.action_space
         if not isinstance(observed, Box) or len(observed.shape) != 1:
             raise ValueError(f"{FAST} learns from vectors, not from pictures: {REMEDY}")
-        if not isinstance(acted, Box):
-            raise ValueError(f"{FAST} learns continuous actions, and these are discrete: {REMEDY}")
-        self._bounds = (acted.low, acted.high)
+        choices = int(acted.n) if isinstance(acted, Discrete) else 0
+        # Choices have neither bounds nor standard deviations
+        self._bounds = (acted.low, acted.high) if isinstance(acted, Box) else None
+        self._has_masks = config.action_masks
         columns = tuple(range(observed.shape[0]))
         layout = (
             find_layout(env.labels) if own.features == "swarm" else ObservationLayout(columns, {})
         )
         self._words = list(layout.kinds)
-        self.networks = _arrange(own, make_sets(layout, own.size, own.scale), acted.shape[0])
-        sets = self.networks.sets
+        try:
+            size = env.state_size if own.is_central else 0
+        except ValueError as error:
+            raise ValueError(f"critic is 'state': {error}; or choose critic=own") from None
+        # States are compressed as own numbers of scale 1
+        self._state_sets = make_sets(ObservationLayout(tuple(range(size)), {}), 1, 1.0)
+        env.has_terminal_states = own.is_central
+        outputs = choices if self._bounds is None else len(self._bounds[0])
+        sets = make_sets(layout, own.size, own.scale)
+        self.networks = _arrange(own, sets, outputs, choices, size)
         self.num_steps = 0
         self._num_updates = 0
         self._statistics = dict.fromkeys(STATISTICS, math.nan)
         # Arrays of a rollout
         shape = own.n_steps, env.num_envs
-        row = count_encoded(sets) + acted.shape[0] + 6
+        row = count_encoded(sets) + outputs + 6 + size / env.num_drones
         require_available_memory(
             f"rollouts of n_steps {own.n_steps} in {env.num_envs} slots (worlds times drones)",
-            math.prod(shape) * row * 4,
+            int(math.prod(shape) * row * 4),
             "lower n_steps or worlds",
         )
         self._rollout = Rollout(
             _zeros(shape[0] + 1, shape[1], count_encoded(sets)),
-            _zeros(*shape, acted.shape[0]),
+            _zeros(shape[0] + 1, env.num_worlds, size),
+            _zeros(*shape, 1 if choices else outputs),
+            np.zeros((*shape, choices * self._has_masks), bool),
             _zeros(*shape),
             _zeros(shape[0] + 1, shape[1]),
             *(_zeros(*shape) for _ in range(4)),
         )
         self._work = _make_work(self.networks)
-        size = self.networks.critic_start + count_parameters(self.networks.critic)
-        self.parameters, self._gradient = (
-            _zeros(size + acted.shape[0]),
-            _zeros(size + acted.shape[0]),
-        )
+        self._outputs = _zeros(env.num_envs, outputs)
+        count = self.networks.critic_start + count_parameters(self.networks.critic)
+        count += 0 if choices else outputs
+        self.parameters, self._gradient = _zeros(count), _zeros(count)
         self._moments = _zeros(2, len(self.parameters))
         self._rng = np.random.default_rng(config.seed)
         self._draw_weights()
@@ -180,7 +197,8 @@ class FastPPO:
         ):
             hidden = [f"mlp_extractor.{kind}_net.{2 * k}" for k in range(len(widths) - 2)]
             found |= self._layers(start, widths, [*hidden, last])
-        found["log_std"] = self.parameters[len(self.parameters) - len(self._bounds[0]) :]
+        if self._bounds is not None:
+            found["log_std"] = self.parameters[len(self.parameters) - len(self._bounds[0]) :]
         return found
 
     def _layers(self, start: int, widths: np.ndarray, names: list[str]) -> dict[str, np.ndarray]:
@@ -201,24 +219,43 @@ class FastPPO:
 
     def collect(self, segments: Segments) -> None:
         """Fill the rollout with the following decisions of all slots."""
-        env, networks, rollout = self._env, self.networks, self._rollout
-        low, high = self._bounds
+        env, rollout = self._env, self._rollout
         for t in range(self._settings.n_steps):
-            actions = rollout.actions[t]
-            encode(self._seen, networks.sets, rollout.encoded[t])
-            self._run(rollout.encoded[t], actions, rollout.values[t])
-            noise = self._rng.standard_normal(actions.shape, dtype=np.float32)
-            sample_actions(self.parameters, noise, actions, rollout.log_densities[t])
-            env.step_async(np.clip(actions, low, high))
+            self._observe(t)
+            self._run(rollout.encoded[t], rollout.states[t], self._outputs, rollout.values[t])
+            env.step_async(self._act(t))
             self._seen, rollout.rewards[t], rollout.done[t], infos = env.step_wait()
             self._add_cut_values(t, infos)
             self.num_steps += env.num_envs
             segments.add_infos(infos)
-        encode(self._seen, networks.sets, rollout.encoded[-1])
-        self._run(rollout.encoded[-1], np.empty_like(rollout.actions[0]), rollout.values[-1])
+        self._observe(-1)
+        self._run(rollout.encoded[-1], rollout.states[-1], self._outputs, rollout.values[-1])
 
-    def _run(self, encoded: np.ndarray, means: np.ndarray, values: np.ndarray) -> None:
-        run_networks(self.parameters, self.networks, self._work, encoded, means, values)
+    def _observe(self, t: int) -> None:
+        """Write the present observations and states to row t of the rollout."""
+        encode(self._seen, self.networks.sets, self._rollout.encoded[t])
+        if self._settings.is_central:
+            encode(self._env.state(), self._state_sets, self._rollout.states[t])
+
+    def _run(
+        self, encoded: np.ndarray, states: np.ndarray, outputs: np.ndarray, values: np.ndarray
+    ) -> None:
+        run_networks(self.parameters, self.networks, self._work, encoded, states, outputs, values)
+
+    def _act(self, t: int) -> np.ndarray:
+        """Draw actions from the outputs of the actor, and return those to take."""
+        rollout, rng, outputs = self._rollout, self._rng, self._outputs
+        actions, log_densities = rollout.actions[t], rollout.log_densities[t]
+        if self._bounds is None:
+            uniform = rng.random(len(outputs), dtype=np.float32)
+            if self._has_masks:
+                rollout.masks[t] = self._env.action_masks()
+            sample_choices(uniform, outputs, rollout.masks[t], actions, log_densities)
+            return np.asarray(actions)
+        actions[:] = outputs
+        noise = rng.standard_normal(actions.shape, dtype=np.float32)
+        sample_actions(self.parameters, noise, actions, log_densities)
+        return np.asarray(np.clip(actions, *self._bounds))
 
     def _add_cut_values(self, t: int, infos: list[dict[str, Any]]) -> None:
         """Add the discounted values of the last observations of episodes that were truncated."""
@@ -226,10 +263,13 @@ class FastPPO:
         if not cut:
             return
         rows = np.stack([infos[k]["terminal_observation"] for k in cut]).astype(np.float32)
-        encoded = _zeros(len(cut), self._rollout.encoded.shape[2])
+        encoded, values = _zeros(len(cut), self._rollout.encoded.shape[2]), _zeros(len(cut))
         encode(rows, self.networks.sets, encoded)
-        values = _zeros(len(cut))
-        self._run(encoded, _zeros(len(cut), self._rollout.actions.shape[2]), values)
+        states = _zeros(len(cut), self._rollout.states.shape[2])
+        if self._settings.is_central:
+            given = np.stack([infos[k]["terminal_state"] for k in cut])
+            encode(given, self._state_sets, states)
+        self._run(encoded, states, np.empty_like(self._outputs[: len(cut)]), values)
         self._rollout.rewards[t, cut] += np.float32(self._settings.gamma) * values
 
     def update(self) -> None:
@@ -268,9 +308,10 @@ class FastPPO:
 
     def statistics(self) -> dict[str, float]:
         """Return the statistics of the last update by name."""
-        std = float(np.exp(self.named_weights()["log_std"]).mean())
         named = {f"train/{name}": value for name, value in self._statistics.items()}
-        return {**named, "train/std": std}
+        if self._bounds is not None:
+            named["train/std"] = float(np.exp(self.named_weights()["log_std"]).mean())
+        return named
 
     def log(self, values: Mapping[str, float]) -> None:
         """Do nothing: the curve and the updates are stored in the folder of the run."""
@@ -289,9 +330,10 @@ class FastPPO:
         shared = [name for name in named if name.startswith(EXTRACTORS[0])]
         for extractor in EXTRACTORS[1:]:
             named |= {name.replace(EXTRACTORS[0], extractor): named[name] for name in shared}
-        low, high = self._bounds
         arrays = {name: array.copy() for name, array in named.items()}
-        write_weights({**arrays, LOW: low, HIGH: high}, folder / POLICY)
+        if self._bounds is not None:
+            arrays[LOW], arrays[HIGH] = self._bounds
+        write_weights(arrays, folder / POLICY)
         counters = {"num_steps": self.num_steps, "num_updates": self._num_updates}
         state = {"parameters": self.parameters, "moments": self._moments}
         write_weights(state, folder / TRAINING, {"counters": json.dumps(counters)})
@@ -325,7 +367,7 @@ def _zeros(*shape: int) -> np.ndarray:
     return np.zeros(shape, np.float32)
 
 
-def _arrange(own: FastSettings, sets: Sets, action: int) -> Networks:
+def _arrange(own: FastSettings, sets: Sets, outputs: int, choices: int, state: int) -> Networks:
     """Lay out the networks in the array of parameters: entities, actor, critic."""
     start, starts, widths = 0, [], []
     for kind in sets.kinds:
@@ -334,7 +376,7 @@ def _arrange(own: FastSettings, sets: Sets, action: int) -> Networks:
         widths.append(each)
         start += count_parameters(each)
     inputs = count_features(sets)
-    actor = np.array([inputs, *own.actor, action])
+    actor = np.array([inputs, *own.actor, outputs])
     return Networks(
         sets,
         np.array(starts, dtype=np.int64),
@@ -342,7 +384,8 @@ def _arrange(own: FastSettings, sets: Sets, action: int) -> Networks:
         start,
         actor,
         start + count_parameters(actor),
-        np.array([inputs, *own.critic, 1]),
+        np.array([inputs + state, *own.critic, 1]),
+        choices,
     )
 
 

@@ -9,8 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bulletuav.compiled.functions import exp, moderate_exp
-from bulletuav.compiled.kernel import kernel
+from bulletuav.compiled.functions import exp, log, moderate_exp
+from bulletuav.compiled.kernel import func, kernel
 from bulletuav.training.fast.dense import BLOCK, ZERO, adam, backward, forward
 from bulletuav.training.fast.sets import (
     Sets,
@@ -24,10 +24,14 @@ MAX_EXPONENT = 20.0
 """Bound of the logarithm of probability ratios"""
 TINY_DEVIATION = 1e-8
 """Added to the standard deviation of advantages, as in stable-baselines3"""
+INVALID = np.float32(-1e8)
+"""Log probability of masked choices, as in sb3-contrib; its exponential is 0"""
 
 
 class Networks(NamedTuple):
-    """Networks in one array of parameters; the last parameters are the log standard deviations.
+    """Networks in one array of parameters.
+
+    The last parameters are the log standard deviations of continuous actions.
 
     Attributes:
         sets: Layout of the features.
@@ -36,7 +40,10 @@ class Networks(NamedTuple):
         actor_start: Index of the first parameter of the actor.
         actor: (layers + 1,) widths of the actor.
         critic_start: Index of the first parameter of the critic.
-        critic: (layers + 1,) widths of the critic.
+        critic: (layers + 1,) widths of the critic, whose inputs are the features, and then the
+            state if it is a central critic.
+        choices: Number of discrete choices, for which the actor computes logits; 0 for continuous
+            actions, of which it computes the means.
     """
 
     sets: Sets
@@ -46,6 +53,7 @@ class Networks(NamedTuple):
     actor: np.ndarray
     critic_start: int
     critic: np.ndarray
+    choices: int
 
 
 class Work(NamedTuple):
@@ -61,11 +69,13 @@ class Work(NamedTuple):
 
 
 class Rollout(NamedTuple):
-    """Arrays of T decisions of M slots.
+    """Arrays of T decisions of M slots in W worlds.
 
     Attributes:
         encoded: (T + 1, M, E) float32, encoded observations.
-        actions: (T, M, A) float32, not clipped.
+        states: (T + 1, W, K) float32, compressed states for a central critic; K = 0 without one.
+        actions: (T, M, A) float32, not clipped; or (T, M, 1) choices.
+        masks: (T, M, C) bool, valid choices; C = 0 without masks.
         log_densities: (T, M) float32, log probability densities of the actions.
         values: (T + 1, M) float32, estimates of the critic.
         rewards: (T, M) float32, NaN for absent drones.
@@ -75,7 +85,9 @@ class Rollout(NamedTuple):
     """
 
     encoded: np.ndarray
+    states: np.ndarray
     actions: np.ndarray
+    masks: np.ndarray
     log_densities: np.ndarray
     values: np.ndarray
     rewards: np.ndarray
@@ -100,12 +112,50 @@ class Losses(NamedTuple):
     max_norm: float
 
 
+@func
+def _run_block(
+    parameters: np.ndarray, networks: Networks, work: Work, encoded: np.ndarray, states: np.ndarray
+) -> None:
+    """Compute actor and critic for the rows `work.chosen` of encoded observations.
+
+    Args:
+        parameters: (P,) float32.
+        networks: The networks.
+        work: Work arrays, written.
+        encoded: (M, E) rows.
+        states: (W, K) states, each of M / W consecutive rows.
+    """
+    features, inputs = work.actor[0], work.critic[0]
+    compute_features(
+        parameters,
+        networks.sets,
+        networks.set_starts,
+        networks.set_widths,
+        encoded,
+        work.chosen,
+        work.sets,
+        features,
+    )
+    seen, drones = networks.actor[0], encoded.shape[0] // states.shape[0]
+    for k in range(seen):
+        for s in range(BLOCK):
+            inputs[k, s] = features[k, s]
+    if states.shape[1] > 0:
+        for s in range(BLOCK):
+            state = states[work.chosen[s] // drones]
+            for k in range(states.shape[1]):
+                inputs[seen + k, s] = state[k]
+    forward(parameters, networks.actor_start, networks.actor, work.actor, False)
+    forward(parameters, networks.critic_start, networks.critic, work.critic, False)
+
+
 @kernel
 def run_networks(
     parameters: np.ndarray,
     networks: Networks,
     work: Work,
     encoded: np.ndarray,
+    states: np.ndarray,
     means: np.ndarray,
     values: np.ndarray,
 ) -> None:
@@ -116,24 +166,16 @@ def run_networks(
         networks: The networks.
         work: Work arrays.
         encoded: (M, E) rows.
-        means: (M, A) means of the actions, written.
+        states: (W, K) states, each of M / W consecutive rows.
+        means: (M, A) means of the actions, or (M, C) logits of the choices, written.
         values: (M,) values, written.
     """
     count = encoded.shape[0]
-    sets, starts, widths = networks.sets, networks.set_starts, networks.set_widths
     actor_last, critic_last = len(networks.actor) - 1, len(networks.critic) - 1
     for first in range(0, count, BLOCK):
         for s in range(BLOCK):
             work.chosen[s] = min(first + s, count - 1)
-        features = work.actor[0]
-        compute_features(
-            parameters, sets, starts, widths, encoded, work.chosen, work.sets, features
-        )
-        for k in range(networks.critic[0]):
-            for s in range(BLOCK):
-                work.critic[0, k, s] = features[k, s]
-        forward(parameters, networks.actor_start, networks.actor, work.actor, False)
-        forward(parameters, networks.critic_start, networks.critic, work.critic, False)
+        _run_block(parameters, networks, work, encoded, states)
         for s in range(min(BLOCK, count - first)):
             for a in range(means.shape[1]):
                 means[first + s, a] = work.actor[actor_last, a, s]
@@ -162,6 +204,59 @@ def sample_actions(
             actions[m, a] = actions[m, a] + exp(log_std) * number
             total -= 0.5 * number * number + log_std + HALF_LOG_2_PI
         log_densities[m] = total
+
+
+@func
+def _log_softmax(logits: np.ndarray, valid: np.ndarray) -> None:
+    """Replace logits (C,) by log probabilities.
+
+    Args:
+        logits: (C,) float32, replaced; those of masked choices by `INVALID`.
+        valid: (C,) bool, at least one of which is True; or (0,) without masks.
+    """
+    is_masked = len(valid) > 0
+    most = -np.inf
+    for a in range(len(logits)):
+        if is_masked and not valid[a]:
+            logits[a] = INVALID
+        most = max(most, float(logits[a]))
+    total = 0.0
+    for a in range(len(logits)):
+        total += exp(float(logits[a]) - most)
+    shift = most + log(total)
+    for a in range(len(logits)):
+        is_valid = not is_masked or valid[a]
+        logits[a] = np.float32(float(logits[a]) - shift) if is_valid else INVALID
+
+
+@kernel
+def sample_choices(
+    uniform: np.ndarray,
+    logits: np.ndarray,
+    masks: np.ndarray,
+    actions: np.ndarray,
+    log_densities: np.ndarray,
+) -> None:
+    """Draw choices from the categorical distributions of logits.
+
+    Args:
+        uniform: (M,) uniform random numbers from 0 to 1.
+        logits: (M, C) float32, replaced by log probabilities.
+        masks: (M, C) bool, valid choices; (M, 0) without masks.
+        actions: (M, 1) float32 choices, written.
+        log_densities: (M,) log probabilities of the choices, written.
+    """
+    for m in range(logits.shape[0]):
+        row, total, choice = logits[m], 0.0, 0
+        _log_softmax(row, masks[m])
+        for a in range(len(row)):
+            probability = exp(float(row[a]))
+            # Rounding can leave a sum below 1: the last possible choice then is the choice
+            if probability > 0.0 and (total <= uniform[m]):
+                choice = a
+            total += probability
+        actions[m, 0] = choice
+        log_densities[m] = row[choice]
 
 
 @kernel
@@ -215,11 +310,14 @@ def compute_gradient(
         rollout: The rollout.
         chosen: (B,) indices t M + m of the samples.
         losses: Constants of the loss.
-        found: (4,) losses of the policy and of the critic, fraction of clipped ratios, and
-            approximate Kullback-Leibler divergence, added to.
+        found: (5,) losses of the policy, of the critic and of the entropy, fraction of clipped
+            ratios, and approximate Kullback-Leibler divergence, added to.
     """
-    slots, size = rollout.rewards.shape[1], rollout.actions.shape[2]
+    choices = networks.choices
+    # Number of standard deviations
+    slots, size = rollout.rewards.shape[1], 0 if choices > 0 else rollout.actions.shape[2]
     encoded = rollout.encoded.reshape(-1, rollout.encoded.shape[2])
+    states = rollout.states.reshape(-1, rollout.states.shape[2])
     count, clip = len(chosen), losses.clip
     first_std = len(parameters) - size
     sets, starts, widths = networks.sets, networks.set_starts, networks.set_widths
@@ -244,20 +342,20 @@ def compute_gradient(
         used = min(BLOCK, count - first)
         for s in range(BLOCK):
             work.chosen[s] = chosen[first + min(s, used - 1)]
-        features = work.actor[0]
-        compute_features(
-            parameters, sets, starts, widths, encoded, work.chosen, work.sets, features
-        )
-        for k in range(networks.critic[0]):
-            for s in range(BLOCK):
-                work.critic[0, k, s] = features[k, s]
-        forward(parameters, networks.actor_start, networks.actor, work.actor, False)
-        forward(parameters, networks.critic_start, networks.critic, work.critic, False)
+        _run_block(parameters, networks, work, encoded, states)
         means, values = work.actor[actor_last], work.critic[critic_last]
         of_means, of_values = work.actor_changes[actor_last], work.critic_changes[critic_last]
         for s in range(BLOCK):
             t, m = work.chosen[s] // slots, work.chosen[s] % slots
-            log_density = -normal
+            log_density, entropy, choice = -normal, normal + 0.5 * size, 0
+            if choices > 0:
+                _log_softmax(means[:choices, s], rollout.masks[t, m])
+                choice = int(rollout.actions[t, m, 0])
+                log_density = float(means[choice, s])
+                for a in range(choices):
+                    probability = exp(float(means[a, s]))
+                    of_means[a, s] = probability
+                    entropy -= probability * means[a, s]
             for a in range(size):
                 inverse = exp(-float(parameters[first_std + a]))
                 away = (float(rollout.actions[t, m, a]) - means[a, s]) * inverse
@@ -276,12 +374,18 @@ def compute_gradient(
                 away = (float(rollout.actions[t, m, a]) - means[a, s]) * inverse
                 of_means[a, s] = pull * away * inverse
                 gradient[first_std + a] += np.float32(pull * (away * away - 1.0))
+            for a in range(choices):
+                probability = float(of_means[a, s])
+                spread_out = losses.entropy * weight * probability * (means[a, s] + entropy)
+                taken = 1.0 if a == choice else 0.0
+                of_means[a, s] = pull * (taken - probability) + spread_out
             of_values[0, s] = 2.0 * losses.value * error * weight
             clipped = min(max(ratio, 1.0 - clip), 1.0 + clip)
             found[0] -= min(ratio * advantage, clipped * advantage) * weight
             found[1] += error * error * weight
-            found[2] += weight if clipped != ratio else 0.0
-            found[3] += (ratio - 1.0 - difference) * weight
+            found[2] -= entropy * weight
+            found[3] += weight if clipped != ratio else 0.0
+            found[4] += (ratio - 1.0 - difference) * weight
         has_sets = sets.kinds.shape[0] > 0
         backward(
             parameters,
@@ -344,7 +448,7 @@ def update_networks(
         step: Number of steps of Adam before.
         rate: Learning rate.
         losses: Constants of the loss.
-        found: (4,) sums over minibatches, see `compute_gradient`.
+        found: (5,) sums over minibatches, see `compute_gradient`.
     """
     for b in range(len(ends) - 1):
         chosen = order[ends[b] : ends[b + 1]]

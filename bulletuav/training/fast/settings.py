@@ -15,6 +15,8 @@ FEATURES: dict[str | None, tuple[str, ...]] = {
     "swarm": ("scale", "size"),
 }
 """Values of the setting `features`, each with the names in its `features_extractor_kwargs`"""
+CRITICS = ("own", "state")
+"""Values of the setting `critic`: inputs are the features alone, or also the global state"""
 POLICY_SETTINGS = ("net_arch", "log_std_init", "features_extractor_kwargs")
 """Names in the setting `policy_kwargs`"""
 FEATURE_SIZE = 32
@@ -39,6 +41,7 @@ class FastSettings(NamedTuple):
     losses: Losses
     actor: tuple[int, ...]
     critic: tuple[int, ...]
+    is_central: bool
     log_std: float
     features: str | None
     scale: float
@@ -63,6 +66,7 @@ def check_fast_settings(config: RunConfig) -> FastSettings:
             find_choice("features", features, named)
         except ValueError as error:
             raise ValueError(f"{FAST}: {error}; {REMEDY} for others") from None
+    central = find_choice("critic", model["critic"], {name: name for name in CRITICS})
     policy = _mapping("policy_kwargs", model["policy_kwargs"])
     _require_known("policy_kwargs: ", policy, POLICY_SETTINGS)
     extractor = _mapping("features_extractor_kwargs", policy.get("features_extractor_kwargs", {}))
@@ -97,6 +101,7 @@ def check_fast_settings(config: RunConfig) -> FastSettings:
         losses=Losses(clip, entropy, value, max_norm),
         actor=actor,
         critic=critic,
+        is_central=central == CRITICS[1],
         log_std=finite("log_std_init", policy.get("log_std_init", 0.0), -20.0, 2.0),
         features=features,
         scale=finite("scale", extractor.get("scale", 1.0), 1e-6, 1e6) if features else 0.0,
