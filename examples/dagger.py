@@ -19,27 +19,31 @@ PyTorch: `--policy FOLDER`.
 
 import argparse
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import torch
-from fast_ppo import Agent, Plan, Worlds, save, swarm_features, write_settings
-from pillars import Pillars, Teacher
+from fast_ppo import Agent, Worlds, save, swarm_features
+from pillars import Teacher
+from streets import Batches
 
 from bulletuav.policies import find_policy
+from bulletuav.policies.run import RunConfig
 
 PILLARS = [(0.2, 8, 4), (0.4, 8, 4), (0.6, 8, 6), (0.8, 8, 8), (0.6, 32, 2), (0.8, 32, 2)]
 """Density, drones and worlds of the training batches"""
 MINIBATCH = 4096
+MODEL = {"features": "swarm", "policy_kwargs": {"net_arch": [64, 64], "log_std_init": -2.0}}
 
 
 class Lesson(NamedTuple):
-    """Training plan: task, its options, batches of worlds, and the teacher."""
+    """Task, its options, further options of each batch of worlds, and the teacher."""
 
     task: str
     options: dict[str, Any]
-    batches: list[dict[str, Any]]
+    batches: list[tuple[int, dict[str, Any]]]  # numbers of worlds and options
     teacher: Any
     rounds: int = 60
     decisions: int = 250  # of all drones in a round
@@ -47,12 +51,12 @@ class Lesson(NamedTuple):
     noise: float = 0.08  # of actions, to visit states off the teacher's path
 
 
-AMONG = [{"task": Pillars, "density": d, "num_drones": n, "num_envs": w} for d, n, w in PILLARS]
-RACE = {"task": "race", "difficulty": "easy", "dynamics": "rigid_body", "num_envs": 64}
+AMONG = [(worlds, {"density": d, "num_drones": n}) for d, n, worlds in PILLARS]
+RACE = [(64, {"difficulty": "easy", "dynamics": "rigid_body"})]
 SEEN = ["velocity", "goal", "body_velocity", "attitude", "next_gates", "neighbours"]
 LESSONS = {
     "pillars": Lesson("pillars:Pillars", {}, AMONG, Teacher, rounds=80),
-    "race": Lesson("race", {"observation": SEEN}, [RACE], "race_pilot", rounds=40),
+    "race": Lesson("race", {"observation": SEEN}, RACE, "race_pilot", rounds=40),
 }
 
 
@@ -73,9 +77,9 @@ def parse_arguments() -> argparse.Namespace:
 class School:
     """Worlds with teachers, and the data set of observations and labels."""
 
-    def __init__(self, lesson: Lesson, worlds: Worlds) -> None:
+    def __init__(self, lesson: Lesson, worlds: Batches) -> None:
         self.worlds = worlds
-        self.envs = worlds.envs
+        self.envs = [part.env for part in worlds.parts]
         self._noise, self._decisions = lesson.noise, lesson.decisions
         self._teachers = [find_policy(lesson.teacher, lesson.task)(env.aviary) for env in self.envs]
         for teacher, env in zip(self._teachers, self.envs, strict=True):
@@ -89,7 +93,7 @@ class School:
         seen, taught = [self.seen], [self.taught]
         for _ in range(self._decisions):
             known, right = self.worlds.seen, self._right()
-            action = agent(known, self.worlds.state())[0] if agent else right
+            action = agent(known, self.worlds.state())[0].mean if agent else right
             begins = [env.ended for env in self.envs]
             lived = self.worlds.step(action + self._noise * torch.randn_like(action))[0].bool()
             for teacher, fresh in zip(self._teachers, begins, strict=True):
@@ -107,8 +111,8 @@ class School:
             self.fly(agent if k else None)
             for _ in range(lesson.updates):
                 chosen = torch.randint(len(self.seen), (MINIBATCH,))
-                mean, _ = agent(self.seen[chosen], torch.zeros(MINIBATCH, 0))
-                loss = (mean - self.taught[chosen]).square().mean()
+                choice, _ = agent(self.seen[chosen], torch.zeros(MINIBATCH, 0))
+                loss = (choice.mean - self.taught[chosen]).square().mean()
                 optimiser.zero_grad()
                 loss.backward()
                 torch.nn.utils.clip_grad_norm_(agent.parameters(), 0.5)
@@ -128,15 +132,16 @@ class School:
 def learn(lesson: Lesson, args: argparse.Namespace) -> None:
     """Train and save the policy."""
     torch.manual_seed(args.seed)
-    plan = Plan(lesson.task, lesson.options, lesson.batches, steps=1, log_std=-2.0)
-    school = School(lesson, Worlds(plan, args.seed, with_state=False))
-    size = school.envs[0].action_space.shape[0]
-    agent = Agent(swarm_features(school, plan), size, plan, state_size=0)
+    config = RunConfig(lesson.task, seed=args.seed, options=lesson.options, model=MODEL)
+    parts = []
+    for k, (count, options) in enumerate(lesson.batches):
+        seed, whole = args.seed + 10_000 * k, {**lesson.options, **options}
+        parts.append(Worlds(replace(config, worlds=count, seed=seed, options=whole)))
+    school = School(lesson, Batches(parts))
+    env = school.envs[0]
+    agent = Agent(swarm_features(env, config), env.action_space.shape[0], config)
     school.train(agent, lesson, args.rate)
-    for env in school.envs:
-        env.close()
-    save(agent, args.out)
-    write_settings(plan._replace(steps=len(school.seen)), args.seed, args.out, "dagger")
+    save(agent, replace(config, steps=len(school.seen)), args.out, "dagger")
 
 
 def main() -> None:

@@ -16,6 +16,7 @@ and `onnx`. The output folder can be flown: `--policy FOLDER`, in this folder an
 import argparse
 import math
 import warnings
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -23,8 +24,8 @@ from typing import Any
 import numpy as np
 import onnxruntime
 import torch
-from fast_ppo import Agent, Plan, Worlds, train
-from streets import BATCHES, LEARN, TASK
+from fast_ppo import Agent, Worlds, save, train
+from streets import LEARN, MODEL, TASK, WORLDS, make_batches
 from torch import nn
 
 import bulletuav
@@ -33,10 +34,11 @@ from bulletuav.compiled.functions import atan2, cos, sin
 from bulletuav.compiled.kernel import kernel
 from bulletuav.geometry.rotation import heading, to_body
 from bulletuav.policies import find_policy
+from bulletuav.policies.run import RunConfig
 from bulletuav.sensors import Label
 from bulletuav.tasks import block
 
-SIDE, CELLS = 64, 16  # pixels of a side of pictures, and of prepared pictures
+SIDE = 64  # pixels of a side of pictures
 FAR = 60.0  # m, maximum of observed distances to bounds
 LABELS = [Label(f"goal {axis}", "1", -1.0, 1.0) for axis in ("ahead", "left")]
 LABELS += [Label("goal distance", "m", 0.0, 1000.0), Label("goal above", "m", -50.0, 50.0)]
@@ -89,40 +91,45 @@ CAMERA = {
     "observation": ["body_velocity", "depth_ppo:egocentric", "depth"],
     "camera_size": [SIDE, SIDE],
 }
-PLAN = Plan(TASK, {**LEARN, **CAMERA}, BATCHES, 4_000_000, rate=7e-4, width=128, features="symlog")
+CONFIG = RunConfig(
+    TASK, steps=4_000_000, options={**LEARN, **CAMERA}, model={**MODEL, "features": "symlog"}
+)
 
 
 class RowFeatures(PictureFeatures):
     """Features of rows of prepared numbers and pixels, or of observations."""
 
+    def pack(self, observations: Any) -> torch.Tensor:
+        """Return rows (M, numbers + pixels), a sixteenth of the pictures' memory, of a dict."""
+        prepared = self.prepare(observations)
+        self.shapes = {name: one.shape[1:] for name, one in prepared.items()}
+        return torch.cat([one.flatten(1) for one in prepared.values()], 1)
+
     def forward(self, observations: Any) -> torch.Tensor:
-        """Return features (M, F) of rows (M, numbers + pixels), or of a dict."""
+        """Return features (M, F) of rows, or of a dict."""
         if isinstance(observations, dict):
             return super().forward(observations)
-        numbers, pixels = observations.tensor_split([-CELLS * CELLS], 1)
-        return self.encode({"vector": numbers, "depth": pixels.unflatten(1, (1, CELLS, CELLS))})
+        parts = observations.split([shape.numel() for shape in self.shapes.values()], 1)
+        named = zip(self.shapes.items(), parts, strict=True)
+        return self.encode({name: part.unflatten(1, shape) for (name, shape), part in named})
 
 
 class Views(Worlds):
-    """Worlds whose rows are prepared numbers and pixels, a sixteenth of the pictures' memory."""
+    """Worlds whose rows are prepared numbers and pixels."""
+
+    scale = 1.0  # of the symlog of numbers
 
     @cached_property
     def features(self) -> RowFeatures:
         """Feature extractor of the observations."""
-        return RowFeatures(self.envs[0].observation_space)
+        return RowFeatures(self.env.observation_space, scale=self.scale)
 
-    def _rows(self, arrays: list[Any]) -> torch.Tensor:
-        """Concatenate arrays (W, N, ...), or observations, of all batches to rows (M, ...)."""
-        if not isinstance(arrays[0], dict):
-            return super()._rows(arrays)
-        flat = [
-            {name: np.reshape(one, (-1, *one.shape[2:])) for name, one in seen.items()}
-            for seen in arrays
-        ]
-        whole = {
-            name: torch.from_numpy(np.concatenate([one[name] for one in flat])) for name in flat[0]
-        }
-        return torch.cat([one.flatten(1) for one in self.features.prepare(whole).values()], 1)
+    def rows(self, array: Any) -> torch.Tensor:
+        """Reshape an array (W, N, ...), or pack observations, to rows (M, ...)."""
+        if not isinstance(array, dict):
+            return super().rows(array)
+        flat = {name: np.reshape(one, (-1, *one.shape[2:])) for name, one in array.items()}
+        return self.features.pack({name: torch.from_numpy(one) for name, one in flat.items()})
 
 
 class Actor(nn.Module):
@@ -134,8 +141,8 @@ class Actor(nn.Module):
 
     def forward(self, vector: torch.Tensor, depth: torch.Tensor) -> torch.Tensor:
         """Return actions (M, 3) within their bounds."""
-        mean, _ = self.agent({"vector": vector, "depth": depth}, vector[:, :0])
-        return mean.clamp(-1, 1)
+        choice, _ = self.agent({"vector": vector, "depth": depth}, vector[:, :0])
+        return choice.mean.clamp(-1, 1)
 
 
 def write_onnx(agent: Agent, path: Path) -> None:
@@ -153,7 +160,7 @@ def write_onnx(agent: Agent, path: Path) -> None:
 def largest_difference(folder: Path, decisions: int = 20) -> float:
     """Fly the saved policy, and return the largest difference to actions of the ONNX file."""
     session = onnxruntime.InferenceSession(folder / "policy.onnx")
-    aviary = bulletuav.Aviary(TASK, 2, difficulty="medium", **{**PLAN.options, "weights": {}})
+    aviary = bulletuav.Aviary(TASK, 2, difficulty="medium", **{**CONFIG.options, "weights": {}})
     policy = find_policy(str(folder), trust=True)(aviary)
     seen = aviary.reset(seeds=0)
     policy.reset(np.ones(2, dtype=bool))
@@ -172,7 +179,7 @@ def parse_arguments() -> argparse.Namespace:
     """Parse the command line."""
     form = argparse.RawDescriptionHelpFormatter
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=form)
-    parser.add_argument("--steps", type=int, default=PLAN.steps, help="decisions of all drones")
+    parser.add_argument("--steps", type=int, default=CONFIG.steps, help="decisions of all drones")
     parser.add_argument("--episodes", type=int, default=20, help="episodes of the evaluation")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", type=Path, default=Path("depth_ppo"), help="folder for the policy")
@@ -183,9 +190,13 @@ def main() -> None:
     """Train, save, export, and evaluate the saved policy."""
     args = parse_arguments()
     torch.set_num_threads(1)
-    plan = PLAN._replace(steps=args.steps)
-    parts = (Views, lambda worlds, _: worlds.features)
-    agent = train(plan, args.seed, False, args.out, None, "depth_ppo", *parts)
+    torch.manual_seed(args.seed)
+    config = replace(CONFIG, seed=args.seed, steps=args.steps)
+    worlds = make_batches(config, WORLDS, Views)
+    first = worlds.parts[0]
+    agent = Agent(first.features, first.env.action_space.shape[0], config)
+    train(agent, worlds, config)
+    save(agent, config, args.out, "depth_ppo")
     write_onnx(agent, args.out / "policy.onnx")
     print(f"actions of the ONNX file differ by at most {largest_difference(args.out):.1e}")
     result = bulletuav.evaluate(

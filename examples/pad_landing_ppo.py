@@ -23,22 +23,22 @@ import argparse
 import math
 from collections.abc import Mapping
 from dataclasses import replace
-from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import torch
 from dagger import Lesson, School
-from fast_ppo import Agent, Plan, Worlds, collect, learn, train
+from depth_ppo import Views
+from fast_ppo import Agent, collect, learn, save, train
+from streets import MODEL, Batches, make_batches
 
 import bulletuav
-from bulletuav.adapters.features import PictureFeatures
 from bulletuav.compiled.kernel import kernel
 from bulletuav.geometry.rotation import axes, product, quat4
 from bulletuav.geometry.view import FAR
 from bulletuav.policies import find_policy
-from bulletuav.policies.run import CHECKPOINTS
+from bulletuav.policies.run import CHECKPOINTS, RunConfig
 from bulletuav.sensors import Image, Moment, Sensor, SensorSetup
 from bulletuav.sensors.camera import Camera
 
@@ -123,49 +123,22 @@ OPTIONS = {
 }
 PAID = {"progress": 0.2, "landing": 5.0, "early": 5.0, "touching": 0.5, "waiting": -0.01}
 PAID |= {"clear": 0.0, "conflict": -1.0, "collision": -2.0, "out_of_bounds": -2.0}
-BATCHES = [{"task": TASK, "difficulty": "easy", "num_envs": 16}]
-BATCHES += [{"task": TASK, "difficulty": "medium", "num_envs": 32}]
-LEARN = {"rate": 6e-4, "log_std": -1.5, "scale": 3.0, "width": 128, "features": "symlog"}
-PLAN = Plan(TASK, {**OPTIONS, "weights": PAID}, BATCHES, 3_000_000, **LEARN)
-LESSON = Lesson(TASK, OPTIONS, BATCHES, "pad_pilot", rounds=25, decisions=40, updates=40)
+WORLDS = {"easy": 16, "medium": 32}
+POLICY = {"net_arch": [128, 128], "log_std_init": -1.5}
+LEARN = {"learning_rate": [6e-4, 0.0], "features": "symlog", "policy_kwargs": POLICY}
+PAYING = {**OPTIONS, "weights": PAID}
+CONFIG = RunConfig(TASK, steps=3_000_000, options=PAYING, model={**MODEL, **LEARN})
+LESSON = Lesson(TASK, OPTIONS, [], "pad_pilot", rounds=25, decisions=40, updates=40)
 CRITIC_ROUNDS = 5  # rollouts by which the critic learns before the actor continues
 
 
-class RowFeatures(PictureFeatures):
-    """Features of rows of prepared numbers and maps, or of observations."""
-
-    def forward(self, observations: Any) -> torch.Tensor:
-        """Return features (M, F) of rows (M, numbers + cells), or of a dict."""
-        if isinstance(observations, dict):
-            return super().forward(observations)
-        numbers, cells = observations.tensor_split([-MAPS * CELLS * CELLS], 1)
-        return self.encode({"vector": numbers, "heights": cells.unflatten(1, (MAPS, CELLS, CELLS))})
-
-
-class Maps(Worlds):
+class Maps(Views):
     """Worlds whose rows are prepared numbers and maps."""
 
-    @cached_property
-    def features(self) -> RowFeatures:
-        """Feature extractor of the observations."""
-        return RowFeatures(self.envs[0].observation_space, scale=PLAN.scale)
-
-    def _rows(self, arrays: list[Any]) -> torch.Tensor:
-        """Concatenate arrays (W, N, ...), or observations, of all batches to rows (M, ...)."""
-        if not isinstance(arrays[0], dict):
-            return super()._rows(arrays)
-        whole = {
-            name: torch.from_numpy(
-                np.concatenate(
-                    [np.reshape(one[name], (-1, *one[name].shape[2:])) for one in arrays]
-                )
-            )
-            for name in arrays[0]
-        }
-        return torch.cat([one.flatten(1) for one in self.features.prepare(whole).values()], 1)
+    scale = 3.0
 
 
-def warm_start(worlds: Worlds, agent: Agent, plan: Plan, lesson: Lesson) -> None:
+def warm_start(worlds: Batches, agent: Agent, lesson: Lesson) -> None:
     """Imitate the teacher, then train the critic alone."""
     if lesson.rounds:
         School(lesson, worlds).train(agent, lesson, 2e-3)
@@ -176,7 +149,7 @@ def warm_start(worlds: Worlds, agent: Agent, plan: Plan, lesson: Lesson) -> None
     for part in critic:
         part.requires_grad_(True)
     for _ in range(CRITIC_ROUNDS):
-        learn(agent, optimiser, collect(worlds, agent, plan), plan)
+        learn(agent, optimiser, collect(worlds, agent, CONFIG.settings), CONFIG.settings)
     for part in agent.parameters():
         part.requires_grad_(True)
 
@@ -212,7 +185,7 @@ def parse_arguments() -> argparse.Namespace:
     form = argparse.RawDescriptionHelpFormatter
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=form)
     parser.add_argument("--rounds", type=int, default=LESSON.rounds, help="of imitation; 0: none")
-    parser.add_argument("--steps", type=int, default=PLAN.steps, help="decisions of PPO")
+    parser.add_argument("--steps", type=int, default=CONFIG.steps, help="decisions of PPO")
     parser.add_argument("--episodes", type=int, default=50, help="episodes of each evaluation")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument(
@@ -225,14 +198,16 @@ def main() -> None:
     """Train, save, and evaluate the policy after the imitation and after PPO."""
     args = parse_arguments()
     torch.set_num_threads(1)
-    plan = PLAN._replace(steps=args.steps)
-    lesson = LESSON._replace(rounds=args.rounds)
-
-    def prepare(worlds: Worlds, agent: Agent) -> None:
-        warm_start(worlds, agent, plan, lesson)
-
-    parts = (Maps, lambda worlds, _: worlds.features, prepare if args.rounds else None)
-    train(plan, args.seed, False, args.out, None, "pad_landing_ppo", *parts)
+    torch.manual_seed(args.seed)
+    config = replace(CONFIG, seed=args.seed, steps=args.steps)
+    worlds = make_batches(config, WORLDS, Maps)
+    first = worlds.parts[0]
+    agent = Agent(first.features, first.env.action_space.shape[0], config)
+    if args.rounds:
+        warm_start(worlds, agent, LESSON._replace(rounds=args.rounds))
+    save(agent, config, args.out / CHECKPOINTS / "000", "pad_landing_ppo")
+    train(agent, worlds, config)
+    save(agent, config, args.out, "pad_landing_ppo")
     for policy in (args.out / CHECKPOINTS / "000", args.out):
         options = {**OPTIONS, "difficulty": "medium"}
         found = fly(str(policy), args.episodes, 1000, **options)

@@ -19,19 +19,21 @@ victim conflict. The output folder can be flown: `--policy FOLDER`, in this fold
 
 import argparse
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 from depth_ppo import Views
-from fast_ppo import Agent, Plan, Worlds, train
+from fast_ppo import Agent, save, train
 from torch import nn
 
 import bulletuav
 from bulletuav.compiled.functions import atan2
 from bulletuav.compiled.kernel import kernel
 from bulletuav.policies import find_policy
+from bulletuav.policies.run import RunConfig
 from bulletuav.sensors import Label
 from bulletuav.tasks import block
 
@@ -117,19 +119,25 @@ def unsearched(
                     out[2 * size + 4] = 1.0
 
 
+BLOCK = "search_ppo:unsearched"
 SEEN = ["velocity", "clue_offset", "sighting", "victims_found", "all_neighbours"]
 OPTIONS = {
-    "observation": [*SEEN, "search_ppo:unsearched", "depth"],
+    "observation": [*SEEN, BLOCK, "depth"],
     "camera_size": [SIDE, SIDE],
     "camera_mounts": {"pitch": -90, "stabilized": True},
 }
 # Slower decisions than those of the task. The range finder is for `sweep` only.
 FLIGHT = {"dynamics": "point_mass", "decision_hz": 5, "horizon": 300, "reward": "training"}
 BEAM = {"num_beams": 1, "lidar_elevations": [-60.0]}
-BATCHES = [{"task": "search", "difficulty": "medium", "num_envs": 64, **FLIGHT, **BEAM}]
-# A noise of 1.7 m/s: with more, drones seldom stay above a victim for 2 s
-LEARN = {"epochs": 3, "rate": 4e-4, "log_std": -1.8, "width": 128, "features": "symlog"}
-PLAN = Plan("search", OPTIONS, BATCHES, 4_000_000, **LEARN)
+FLYING = {**FLIGHT, "difficulty": "medium"}
+LEARN = {
+    "features": "symlog",
+    "n_epochs": 3,
+    "learning_rate": [4e-4, 0.0],
+    # A noise of 1.7 m/s: with more, drones seldom stay above a victim for 2 s
+    "policy_kwargs": {"net_arch": [128, 128], "log_std_init": -1.8},
+}
+CONFIG = RunConfig("search", steps=4_000_000, worlds=64, options=OPTIONS, model=LEARN)
 EXTRA = ["position", "searched_cells", "lidar"]  # which `sweep` reads in addition
 NOISE = 0.15  # of the actions of `sweep`, to visit states off its path
 
@@ -137,23 +145,21 @@ NOISE = 0.15  # of the actions of `sweep`, to visit states off its path
 class Lessons(Views):
     """Worlds that keep observations as the teacher reads them."""
 
-    def _rows(self, arrays: list[Any]) -> torch.Tensor:
-        """Concatenate arrays to rows, and keep observations."""
-        if isinstance(arrays[0], dict):
-            self.raw = arrays[0]
-        return super()._rows(arrays)
+    def rows(self, array: Any) -> torch.Tensor:
+        """Reshape an array to rows, and keep observations."""
+        if isinstance(array, dict):
+            self.raw = array
+        return super().rows(array)
 
 
 @torch.no_grad()
-def watch(plan: Plan, seed: int, decisions: int) -> list[torch.Tensor]:
+def watch(seed: int, decisions: int) -> list[torch.Tensor]:
     """Fly `sweep`; return observations, its actions, its returns, and 1 where these are known."""
-    blocks = [*plan.options["observation"][:-1], *EXTRA, "depth"]
-    batches = [{k: v for k, v in one.items() if k not in BEAM} for one in plan.batches]
-    options = {**plan.options, "observation": blocks}
-    worlds = Lessons(plan._replace(options=options, batches=batches), seed, False)
-    (env,) = worlds.envs
+    options = {**OPTIONS, **FLYING, "observation": [*SEEN, BLOCK, *EXTRA, "depth"]}
+    worlds = Lessons(replace(CONFIG, options=options, seed=seed))
+    env = worlds.env
     own = env.aviary.observer.slices[EXTRA[0]].start
-    teacher = find_policy("sweep", plan.task)(env.aviary)
+    teacher = find_policy("sweep", CONFIG.task)(env.aviary)
     teacher.reset(np.ones(env.num_envs, dtype=bool))
     seen, taught, results = [], [], []
     for _ in range(decisions):
@@ -167,26 +173,27 @@ def watch(plan: Plan, seed: int, decisions: int) -> list[torch.Tensor]:
     env.close()
     flown, reward, _, done = torch.stack(results, 1)
     after, known = torch.zeros_like(reward), torch.zeros_like(reward)
+    gamma = CONFIG.settings["gamma"]
     total, ends = torch.zeros(reward.shape[1]), torch.zeros(reward.shape[1])
     for t in reversed(range(decisions)):
-        total = after[t] = reward[t] + plan.gamma * (1 - done[t]) * total
+        total = after[t] = reward[t] + gamma * (1 - done[t]) * total
         # Returns of episodes that end later are not known
         ends = known[t] = torch.maximum(ends, done[t])
     lived = flown.bool()
     return [part[lived] for part in (torch.stack(seen), torch.stack(taught), after, known)]
 
 
-def clone(agent: Agent, plan: Plan, seed: int, decisions: int, epochs: int = 8) -> None:
+def clone(agent: Agent, seed: int, decisions: int, epochs: int = 8) -> None:
     """Imitate `sweep`, and learn the returns that it gets."""
-    rows = watch(plan, seed + 50_000, decisions)
+    rows = watch(seed + 50_000, decisions)
     optimiser = torch.optim.Adam(agent.parameters(), 1e-3)
     count = len(rows[0])
     for k in range(epochs):
         optimiser.param_groups[0]["lr"] = 1e-3 * (1 - k / epochs)
         for chosen in torch.randperm(count).split(512):
             seen, taught, after, known = (part[chosen] for part in rows)
-            mean, value = agent(seen, seen[:, :0])
-            wrong = (mean - taught).square().mean()
+            choice, value = agent(seen, seen[:, :0])
+            wrong = (choice.mean - taught).square().mean()
             loss = wrong + 0.05 * (known * (value - after).square()).mean()
             optimiser.zero_grad()
             loss.backward()
@@ -199,7 +206,7 @@ def parse_arguments() -> argparse.Namespace:
     """Parse the command line."""
     form = argparse.RawDescriptionHelpFormatter
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=form)
-    parser.add_argument("--steps", type=int, default=PLAN.steps, help="decisions of all drones")
+    parser.add_argument("--steps", type=int, default=CONFIG.steps, help="decisions of all drones")
     parser.add_argument("--episodes", type=int, default=20, help="episodes of the evaluation")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--cloned", type=int, default=250, help="decisions of each cloned drone")
@@ -211,13 +218,13 @@ def main() -> None:
     """Train, save, and evaluate the saved policy."""
     args = parse_arguments()
     torch.set_num_threads(1)
-    plan = PLAN._replace(steps=args.steps)
-
-    def prepare(_: Worlds, agent: Agent) -> None:
-        clone(agent, plan, args.seed, args.cloned)
-
-    parts = (Views, lambda worlds, _: worlds.features, prepare)
-    train(plan, args.seed, False, args.out, None, "search_ppo", *parts)
+    torch.manual_seed(args.seed)
+    config = replace(CONFIG, seed=args.seed, steps=args.steps)
+    worlds = Views(replace(config, options={**OPTIONS, **FLYING, **BEAM}))
+    agent = Agent(worlds.features, worlds.env.action_space.shape[0], config)
+    clone(agent, args.seed, args.cloned)
+    train(agent, worlds, config)
+    save(agent, config, args.out, "search_ppo")
     result = bulletuav.evaluate(
         "search", args.out, args.episodes, 1000, difficulty="medium", trust=True
     )

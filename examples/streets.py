@@ -15,21 +15,22 @@ output folder can be flown without PyTorch: `--policy FOLDER`.
 """
 
 import argparse
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
-from fast_ppo import Plan, train
+from fast_ppo import Agent, Worlds, save, swarm_features, train
 
 import bulletuav
+from bulletuav.policies.run import RunConfig
 from bulletuav.sensors import Label, Moment, Sensor, SensorSetup
 
 TASK = "lidar_navigation"
 WORLDS = {"easy": 40, "medium": 24, "hard": 15}
 """Number of worlds of each difficulty, so that each has the same number of drones"""
-BATCHES = [{"task": TASK, "difficulty": name, "num_envs": count} for name, count in WORLDS.items()]
 # Smaller than the default weights of the task, so that returns are of the order of 1
 PAID = {"progress": 0.1, "goal": 3.0, "time": -0.01, "proximity": -0.02, "energy": -0.0002}
 HITS = {"collision": -4.0, "conflict": -4.0, "out_of_bounds": -1.0, "warning": -0.1}
@@ -40,7 +41,52 @@ STACK = {
     "sensors": ["streets:Earlier"],
     "observation": ["velocity", "goal", "battery", "room", "lidar", "earlier"],
 }
+MODEL = {
+    "features": "swarm",
+    "n_epochs": 4,
+    "learning_rate": [7e-4, 0.0],
+    "policy_kwargs": {"net_arch": [128, 128], "log_std_init": -1.0},
+}
+CONFIG = RunConfig(TASK, steps=16_000_000, options=LEARN, model=MODEL)
 AGO = 0.5  # s
+
+
+class Batches:
+    """Batches of worlds of several difficulties, whose drones are the rows of common arrays."""
+
+    def __init__(self, parts: Sequence[Worlds]) -> None:
+        self.parts = parts
+
+    @property
+    def seen(self) -> torch.Tensor:
+        """Observations (M, ...)."""
+        return torch.cat([part.seen for part in self.parts])
+
+    def state(self) -> torch.Tensor:
+        """Return no numbers (M, 0): the critic sees what the actor sees."""
+        return torch.cat([part.state() for part in self.parts])
+
+    def step(self, actions: torch.Tensor) -> torch.Tensor:
+        """Step all worlds; see `Worlds.step`."""
+        shares = actions.split([len(part.seen) for part in self.parts])
+        return torch.cat([one.step(s) for one, s in zip(self.parts, shares, strict=True)], 1)
+
+
+def make_batches(config: RunConfig, counts: Mapping[str, int], kind: Any = Worlds) -> Batches:
+    """Make worlds of several difficulties, with their numbers."""
+    return Batches(
+        [
+            kind(
+                replace(
+                    config,
+                    worlds=count,
+                    seed=config.seed + 10_000 * k,
+                    options={**config.options, "difficulty": name},
+                )
+            )
+            for k, (name, count) in enumerate(counts.items())
+        ]
+    )
 
 
 class Earlier(Sensor):
@@ -78,7 +124,7 @@ def parse_arguments() -> argparse.Namespace:
     parser.add_argument(
         "--stack", action="store_true", help="also observe ranges of half a second ago"
     )
-    parser.add_argument("--steps", type=int, default=16_000_000, help="decisions of all drones")
+    parser.add_argument("--steps", type=int, default=CONFIG.steps, help="decisions of all drones")
     parser.add_argument("--episodes", type=int, default=20, help="episodes of the evaluation")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", type=Path, default=Path("streets"), help="folder for the policy")
@@ -89,9 +135,14 @@ def main() -> None:
     """Train, save, and evaluate the saved policy."""
     args = parse_arguments()
     torch.set_num_threads(1)
+    torch.manual_seed(args.seed)
     options = {**LEARN, **STACK} if args.stack else LEARN
-    plan = Plan(TASK, options, BATCHES, args.steps, rate=7e-4, width=128)
-    train(plan, args.seed, central=False, folder=args.out, by="streets")
+    config = replace(CONFIG, options=options, seed=args.seed, steps=args.steps)
+    worlds = make_batches(config, WORLDS)
+    env = worlds.parts[0].env
+    agent = Agent(swarm_features(env, config), env.action_space.shape[0], config)
+    train(agent, worlds, config)
+    save(agent, config, args.out, "streets")
     result = bulletuav.evaluate(
         TASK, args.out, args.episodes, 1000, difficulty="medium", trust=True
     )

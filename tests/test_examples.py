@@ -3,7 +3,6 @@
 import importlib
 import re
 import runpy
-import typing
 from pathlib import Path
 
 import numpy as np
@@ -171,26 +170,14 @@ def check_torchrl_mappo(told, folder):
 
 
 def check_fast_ppo(told, folder):
-    assert numbers("# decisions: mean return #", told)[0, 0] == 32 * 64 * 8
+    assert numbers("# decisions: mean return #", told)[0, 0] == 32 * 32 * 8
     success, low, high = numbers(r"in bullet: success # \(# to #\)", told)[0]
     assert success == low == 0 < high  # which has learned nothing yet
     assert {path.name for path in folder.rglob("*.*")} == {"run.yaml", "policy.safetensors"}
-    # Of other trainers' settings, such as evaluations on the way, it tells nothing
     text = (folder / "run.yaml").read_text()
     assert text.startswith("# Learned by `examples/fast_ppo.py`.\n")
     told = {"version", "task", "algo", "seed", "steps", "options", "model", "constants"}
     assert set(yaml.safe_load(text)) == told
-    first = folder / "checkpoints" / "000" / "policy.safetensors"
-    assert first.read_bytes() != (folder / "policy.safetensors").read_bytes()
-
-
-def test_every_plan_of_fast_ppo_is_of_the_types_that_it_names():
-    """Of each only one is trained here."""
-    found = runpy.run_path(str(FOLDER / "fast_ppo.py"))
-    for name, plan in found["PLANS"].items():
-        for field, kind in found["Plan"].__annotations__.items():
-            value = getattr(plan, field)
-            assert isinstance(value, typing.get_origin(kind) or kind), (name, field, value)
 
 
 def check_pillars(told, folder):
