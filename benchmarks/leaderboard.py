@@ -42,10 +42,10 @@ from bulletuav.files import replace_file
 from bulletuav.policies import find_policy
 from bulletuav.policies.neural_network import ACTORS, HIGH, LOW, read_weights
 from bulletuav.policies.run import (
+    ALGORITHMS,
     CHECKPOINTS,
     CONFIG,
     POLICY,
-    SB3_ALGORITHMS,
     RunConfig,
     read_settings,
     whole_number,
@@ -57,7 +57,7 @@ from bulletuav.training.store import CURVE, EVALUATION_SEED
 from bulletuav.training.trainer import train
 
 HERE = Path(__file__).parent
-EXAMPLES = HERE.parent / "examples"
+sys.path.append(str(HERE.parent / "examples"))
 OUT = HERE.parent / "docs" / "results" / "leaderboard"
 MANIFEST = OUT.parent / "manifest.json"
 """List of the raw results, by `tools/results.py`"""
@@ -165,7 +165,7 @@ def _train(row: Row, folder: Path) -> None:
     drones = EnvSpec(row.task, 1, options).options.num_drones
     worlds = max(1, settings["slots"] // drones)
     by, model = settings["by"], settings["model"]
-    if by in SB3_ALGORITHMS:
+    if by in ALGORITHMS:
         config = RunConfig(
             row.task,
             by,
@@ -181,15 +181,9 @@ def _train(row: Row, folder: Path) -> None:
         train(config, folder)
         return
     curve = Curve(row, steps, folder)
-    if by == "fast_ppo":
-        fast = _example("fast_ppo")
-        batch = {"task": row.task, "num_envs": worlds}
-        plan = fast.Plan(row.task, options, [batch], steps, **model)
-        fast.train(plan, row.seed, settings.get("critic") != "own", folder, curve)
-    else:
-        team = _example("team_critics")
-        plan = team.Plan(row.task, options, worlds, steps, **model)
-        team.train(by, plan, row.seed, folder, curve)
+    team = importlib.import_module("team_critics")
+    plan = team.Plan(row.task, options, worlds, steps, **model)
+    team.train(by, plan, row.seed, folder, curve)
     curve(steps, None)
 
 
@@ -200,13 +194,6 @@ def _weights(task: str, settings: Mapping[str, Any]) -> dict[str, float]:
         for name, weight in find_task(task).reward.items()
     }
     return {name: settings["scale"] * weight for name, weight in own.items() if weight}
-
-
-def _example(name: str) -> Any:
-    """Import an example."""
-    if str(EXAMPLES) not in sys.path:
-        sys.path.insert(0, str(EXAMPLES))
-    return importlib.import_module(name)
 
 
 class Curve:

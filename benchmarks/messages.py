@@ -12,10 +12,11 @@ networks, budget and seeds, and a reward with the progress towards the nearest v
 - written: messages arrive, and are the clue as the sender observes it.
 
 Writes messages.md, messages.csv and messages.png. A repeated call continues, and trains no finished
-run again. Needs the extra `sb3`.
+run again.
 """
 
 import argparse
+import contextlib
 import csv
 import json
 import sys
@@ -25,22 +26,22 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 from scipy import stats
 
 import bulletuav
+from bulletuav.adapters.slots import DroneSlots
 from bulletuav.files import replace_file
+from bulletuav.policies.neural_network import Network, read_weights
+from bulletuav.policies.run import FAST, POLICY, RunConfig
 from bulletuav.report.figures import blank_figure, save_figure
 from bulletuav.sensors import Label
 from bulletuav.tasks import reward
 from bulletuav.tasks.frame import Frame
 from bulletuav.tasks.observations.base import Block
+from bulletuav.training.fast.learner import FastPPO
+from bulletuav.training.segments import make_slots
 
 ROOT = Path(__file__).parents[1]
-sys.path.insert(0, str(ROOT / "examples"))
-
-from fast_ppo import Agent, Plan, Worlds, train  # noqa: E402
-
 CASES = ("lost", "learned", "written")
 RANGES = {"lost": 0.001, "learned": 1000.0, "written": 1000.0}
 """Range of messages, m: on a channel that loses all messages it would be an error"""
@@ -48,6 +49,13 @@ SIZE = 2
 """Numbers of a message"""
 METRICS = {"found": "fraction of victims found", "find_time": "time of a find (s)"}
 EVALUATION_SEED = 1_000_000
+MODEL = {
+    "features": "swarm",
+    "n_steps": 64,
+    "gamma": 0.98,
+    "learning_rate": [1e-3, 0.0],
+    "policy_kwargs": {"net_arch": [64, 64], "log_std_init": -1.2},
+}
 OPTIONS = {
     "dynamics": "single_integrator",
     "decision_hz": 2,
@@ -123,52 +131,71 @@ def progress_to_victim(frame: Frame) -> np.ndarray:
     return shared
 
 
-def write_messages(seen: torch.Tensor, actions: torch.Tensor) -> torch.Tensor:
+def write_messages(seen: np.ndarray, actions: np.ndarray) -> np.ndarray:
     """Return actions (M, A) whose message is the observed clue."""
-    return torch.cat([actions[:, :-SIZE], seen[:, 2 : 2 + SIZE]], 1)
+    return np.concatenate([actions[:, :-SIZE], seen[:, 2 : 2 + SIZE]], 1)
 
 
-class Written(Worlds):
+class Written(DroneSlots):
     """Worlds in which messages are the clue as observed, whatever the policy sends."""
 
-    def step(self, actions: torch.Tensor) -> torch.Tensor:
-        """Step all worlds with these messages."""
-        return super().step(write_messages(self.seen, actions))
+    seen: np.ndarray
+
+    def reset(self) -> Any:
+        """Start new episodes, and keep the observations."""
+        self.seen = super().reset()
+        return self.seen
+
+    def step_async(self, actions: np.ndarray) -> None:
+        """Set actions with these messages."""
+        super().step_async(write_messages(self.seen, actions))
+
+    def step_wait(self) -> tuple[Any, np.ndarray, np.ndarray, list[Any]]:
+        """Step all worlds, and keep the observations."""
+        self.seen, *rest = super().step_wait()
+        return self.seen, *rest
 
 
 def measure(case: str, seed: int, given: argparse.Namespace) -> dict[str, float]:
     """Train and evaluate a case, unless its result is in the folder; return the means."""
     channel = {"size": SIZE, "range": RANGES[case]}
     options = {**OPTIONS, "communication": channel}
-    batch = {"task": "search", "num_envs": 85}
-    model = {"minibatch": 1024, "gamma": 0.98, "log_std": -1.2}
-    plan = Plan("search", options, [batch], given.steps, **model)
-    asked = json.loads(json.dumps([plan._asdict(), seed, given.episodes]))
+    model = {**MODEL, "critic": "state"}
+    config = RunConfig("search", FAST, seed, given.steps, 85, options, model=model)
+    asked = json.loads(json.dumps([config.plain(), given.episodes]))
     folder = given.out / "runs" / f"{case}-{seed}"
     path = folder / "result.json"
     if path.exists() and (result := json.loads(path.read_text()))["asked"] == asked:
         return dict(result["means"])
     begin = time.process_time()
-    agent = train(plan, seed, True, folder, make_worlds=Written if case == "written" else Worlds)
+    with contextlib.closing(
+        make_slots(config, Written if case == "written" else DroneSlots)
+    ) as env:
+        learner = FastPPO(config, env)
+        learner.begin_segment(seed)
+        while learner.num_steps < config.steps:
+            learner.collect()
+            learner.update()
+    learner.save(folder)
     means = {"seconds": time.process_time() - begin}
-    means = {**fly(agent, options, case == "written", given.episodes), **means}
+    means = {**fly(folder, config, case == "written", given.episodes), **means}
     replace_file(path, json.dumps({"asked": asked, "means": means}, indent=1) + "\n")
     return means
 
 
-@torch.no_grad()
-def fly(agent: Agent, options: dict[str, Any], written: bool, episodes: int) -> dict[str, float]:
+def fly(folder: Path, config: RunConfig, written: bool, episodes: int) -> dict[str, float]:
     """Fly the mean actions in worlds of one episode each, and return the means of `METRICS`."""
-    env = bulletuav.batch_env("search", episodes, **options)
+    env = bulletuav.batch_env("search", episodes, **config.options)
+    weights = read_weights(folder / POLICY)
+    network = Network(weights, FAST, config.settings, env.observation_labels)
     observed = env.reset(seed=EVALUATION_SEED)[0]
     last = {name: np.full(episodes, np.nan) for name in METRICS}
-    for _ in range(options["horizon"]):
-        seen = torch.from_numpy(observed).flatten(0, 1)
-        known = agent.features_extractor(seen)
-        actions = agent.action_net(agent.mlp_extractor["policy_net"](known)).clamp(-1, 1)
+    for _ in range(config.options["horizon"]):
+        seen = observed.reshape(-1, observed.shape[-1])
+        actions = network(seen)
         actions = write_messages(seen, actions) if written else actions
         flies = env.alive.any(axis=1)
-        observed, *_, infos = env.step(actions.numpy().reshape(*env.alive.shape, -1))
+        observed, *_, infos = env.step(actions.reshape(*env.alive.shape, -1))
         # Worlds that have ended fly further episodes, which do not count
         ended = flies & ~env.alive.any(axis=1) & np.isnan(last["found"])
         for name, values in last.items():
@@ -259,7 +286,6 @@ def parse(argv: Sequence[str] | None) -> argparse.Namespace:
 def main(argv: Sequence[str] | None = None) -> None:
     """Train and evaluate all cases, and write the report."""
     given = parse(argv)
-    torch.set_num_threads(1)
     found: dict[str, list[dict[str, float]]] = {case: [] for case in CASES}
     for seed in given.seeds:
         for case, runs in found.items():

@@ -58,18 +58,13 @@ def config(**changes):
     return RunConfig("converge", **{**usual, **changes})
 
 
-class NoSegments:
-    def add_infos(self, infos):
-        pass
-
-
 def collected(**changes):
     """Return a learner with a rollout."""
     run = config(**changes)
     env = make_slots(run, DroneSlots)
     learner = FastPPO(run, env)
     learner.begin_segment(5)
-    learner.collect(NoSegments())
+    learner.collect()
     return learner, env
 
 
@@ -281,7 +276,7 @@ def _observations(learner, changes):
     other.step_async = spy
     again.begin_segment(5)
     again.num_steps = 0
-    again.collect(NoSegments())
+    again.collect()
     np.testing.assert_array_equal(again._rollout.actions, learner._rollout.actions)
     return np.array(seen), np.array(states)
 
@@ -343,7 +338,7 @@ def test_values_of_truncated_episodes_are_added_to_the_last_reward():
         learner.parameters[:] = 0.0
         learner.named_weights()["value_net.bias"][:] = value
         learner.begin_segment(5)
-        learner.collect(NoSegments())
+        learner.collect()
         rewards.append(learner._rollout.rewards.copy())
     truncated = np.zeros(16, dtype=bool)
     truncated[2::3] = True
@@ -366,7 +361,7 @@ def test_values_of_truncated_episodes_are_of_the_state_before_the_reset():
         critic = learner.named_weights()["value_net.weight"]
         critic[0, learner.networks.actor[0] + height] = weight
         learner.begin_segment(5)
-        learner.collect(NoSegments())
+        learner.collect()
         rewards.append(learner._rollout.rewards.copy())
     other = bulletuav.batch_env("converge", 2, **options)
     other.reset(seed=5)

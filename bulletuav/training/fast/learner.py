@@ -8,15 +8,14 @@ import contextlib
 import itertools
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from gymnasium.spaces import Box, Discrete
 from safetensors import SafetensorError, safe_open
 
-from bulletuav.adapters.slots import DroneSlots
+from bulletuav.adapters.slots import DroneSlots, Info
 from bulletuav.errors import require_available_memory
 from bulletuav.parsing import parse_json
 from bulletuav.policies.neural_network import HIGH, LOW, read_weights, write_weights
@@ -83,7 +82,7 @@ def learn_fast(
         segments = Segments(config, env, store, learner, progress, note)
         while learner.num_steps < config.steps:
             segments.start_rollout()
-            learner.collect(segments)
+            learner.collect(segments.add_infos)
             segments.end_rollout()
             learner.update()
         segments.end()
@@ -217,8 +216,12 @@ class FastPPO:
         self._env.seed(seed)
         self._seen = self._env.reset()
 
-    def collect(self, segments: Segments) -> None:
-        """Fill the rollout with the following decisions of all slots."""
+    def collect(self, report: Callable[[list[Info]], None] = lambda infos: None) -> None:
+        """Fill the rollout with the following decisions of all slots.
+
+        Args:
+            report: Called with the infos of the slots after each decision.
+        """
         env, rollout = self._env, self._rollout
         for t in range(self._settings.n_steps):
             self._observe(t)
@@ -227,7 +230,7 @@ class FastPPO:
             self._seen, rollout.rewards[t], rollout.done[t], infos = env.step_wait()
             self._add_cut_values(t, infos)
             self.num_steps += env.num_envs
-            segments.add_infos(infos)
+            report(infos)
         self._observe(-1)
         self._run(rollout.encoded[-1], rollout.states[-1], self._outputs, rollout.values[-1])
 
@@ -257,7 +260,7 @@ class FastPPO:
         sample_actions(self.parameters, noise, actions, log_densities)
         return np.asarray(np.clip(actions, *self._bounds))
 
-    def _add_cut_values(self, t: int, infos: list[dict[str, Any]]) -> None:
+    def _add_cut_values(self, t: int, infos: list[Info]) -> None:
         """Add the discounted values of the last observations of episodes that were truncated."""
         cut = [k for k, info in enumerate(infos) if info.get("TimeLimit.truncated", False)]
         if not cut:
