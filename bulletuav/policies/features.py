@@ -35,8 +35,17 @@ def symlog(values: np.ndarray, scale: float = 1.0) -> np.ndarray:
     Returns:
         The compressed numbers, of the same shape.
     """
-    compressed: np.ndarray = np.sign(values) * log1p(scale * np.abs(values))
+    # A kernel, as numba compiles elementwise functions of arrays in each process
+    numbers = np.ascontiguousarray(values, dtype=float)
+    compressed = np.empty_like(numbers)
+    _write_symlog(numbers.reshape(-1), scale, compressed.reshape(-1))
     return compressed
+
+
+@kernel
+def _write_symlog(values: np.ndarray, scale: float, compressed: np.ndarray) -> None:
+    for k in range(len(values)):
+        compressed[k] = np.sign(values[k]) * log1p(scale * abs(values[k]))
 
 
 def dense(values: np.ndarray, weight: np.ndarray, bias: np.ndarray) -> np.ndarray:

@@ -14,6 +14,7 @@ from safetensors import SafetensorError
 from safetensors.numpy import load_file, save_file
 
 from bulletuav.compiled.functions import tanh
+from bulletuav.compiled.kernel import kernel
 from bulletuav.errors import reason_of
 from bulletuav.files import whole_file
 from bulletuav.policies.features import Layers, UserFeatures, dense, symlog
@@ -52,7 +53,16 @@ class Actor(NamedTuple):
 
 
 def _tanh(values: np.ndarray) -> np.ndarray:
-    return np.asarray(tanh(values))
+    # A kernel, as numba compiles elementwise functions of arrays in each process
+    result = np.empty_like(values)
+    _write_tanh(values.reshape(-1), result.reshape(-1))
+    return result
+
+
+@kernel
+def _write_tanh(values: np.ndarray, result: np.ndarray) -> None:
+    for k in range(len(values)):
+        result[k] = tanh(values[k])
 
 
 def _relu(values: np.ndarray) -> np.ndarray:

@@ -9,7 +9,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bulletuav.compiled.functions import log1p
 from bulletuav.policies.features import Layers, dense, symlog
 from bulletuav.policies.layers import Dense, EntityGroup, SwarmLayer
 from bulletuav.sensors.base import Label
@@ -169,4 +168,4 @@ def _approach(motion: np.ndarray) -> list[np.ndarray]:
     time = np.clip(-along / (square + TINY), 0.0, LOOK_AHEAD)
     place = position + velocity * time
     distance = np.sqrt((place * place).sum(axis=-1, keepdims=True) + TINY)
-    return [symlog(place), log1p(distance), time / (LOOK_AHEAD / 2)]
+    return [symlog(place), symlog(distance), time / (LOOK_AHEAD / 2)]

@@ -248,6 +248,15 @@ def test_intervals_of_rates_are_wilsons_and_of_means_the_bootstraps():
         never = estimate(metric, [0.0] * 10)
         assert never[:3] == (0.0, pytest.approx(0.0), pytest.approx(z**2 / (10 + z**2)))
         assert estimate(metric, [0.5, 0.5])[:3] == (0.5, 0.5, 0.5)
+    # The bits of SciPy
+    for k, n in ((0, 7), (3, 7), (7, 7), (41, 50)):
+        theirs = stats.binomtest(k, n).proportion_ci(method="wilson")
+        assert estimate("conflict", [1.0] * k + [0.0] * (n - k))[1:3] == tuple(theirs)
+    for n in (2, 5, 97):
+        part, rng = sample[:n], np.random.default_rng(0)
+        resamples = {"n_resamples": 2000, "method": "percentile", "rng": rng}
+        theirs = stats.bootstrap((part,), np.mean, **resamples).confidence_interval
+        assert estimate("length", [*part])[1:3] == (theirs.low, theirs.high)
     nothing = estimate("energy", [np.nan])
     assert nothing.episodes == 0
     assert np.isnan(nothing.mean)

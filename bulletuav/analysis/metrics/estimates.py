@@ -1,5 +1,6 @@
 """Means of metrics over episodes, with 95 % confidence intervals."""
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -9,6 +10,10 @@ from bulletuav.analysis.metrics.standard import RATES, SHARES
 
 RESAMPLES = 2000
 """Number of bootstrap resamples"""
+TAIL = (1.0 - 0.95) / 2.0
+"""Probability of each side outside an interval"""
+NORMAL_QUANTILE = 1.959963984540054
+"""Quantile of the standard normal distribution at 1 - `TAIL`"""
 
 
 class Estimate(NamedTuple):
@@ -39,21 +44,34 @@ def estimate(metric: str, values: Sequence[float]) -> Estimate:
     Returns:
         The mean with its interval.
     """
-    # Imported here, as SciPy's statistics take longer to import than all other modules.
-    from scipy import stats
-
     sample = np.array(values)
     is_extreme = metric in SHARES and (np.all(sample == 0) or np.all(sample == 1))
     if metric not in RATES and not is_extreme:
         return mean_estimate(values)
     happened = int(sample.sum())
-    low, high = stats.binomtest(happened, len(sample)).proportion_ci(method="wilson")
-    return Estimate(
-        mean=float(sample.mean()),
-        low=float(low),
-        high=float(high),
-        episodes=len(sample),
-    )
+    low, high = wilson_interval(happened, len(sample))
+    return Estimate(float(sample.mean()), low, high, len(sample))
+
+
+def wilson_interval(happened: int, count: int) -> tuple[float, float]:
+    """Return the 95 % confidence interval of a probability.
+
+    References:
+        R. G. Newcombe, Two-sided confidence intervals for the single proportion: comparison of
+        seven methods (1998), method 3.
+
+    Args:
+        happened: Number of episodes in which the event happened.
+        count: Number of episodes.
+    """
+    # Written out, as importing SciPy's statistics takes half a second
+    rate, square = happened / count, NORMAL_QUANTILE**2
+    scale = 2 * (count + square)
+    center = (2 * count * rate + square) / scale
+    half = NORMAL_QUANTILE / scale * math.sqrt(4 * count * rate * (1 - rate) + square)
+    low = 0.0 if happened == 0 else center - half
+    high = 1.0 if happened == count else center + half
+    return low, high
 
 
 def mean_estimate(values: Sequence[float]) -> Estimate:
@@ -67,25 +85,21 @@ def mean_estimate(values: Sequence[float]) -> Estimate:
     Returns:
         The mean with its interval; NaN, with 0 episodes, if there are no numbers.
     """
-    from scipy import stats
-
     sample = np.array([value for value in values if not np.isnan(value)])
     if not len(sample):
         return Estimate(np.nan, np.nan, np.nan, 0)
-    # The bootstrap would warn about a constant sample.
     if np.ptp(sample) == 0:
         mean = float(sample[0])
         return Estimate(mean, mean, mean, len(sample))
-    interval = stats.bootstrap(
-        (sample,),
-        np.mean,
-        n_resamples=RESAMPLES,
-        method="percentile",
-        rng=np.random.default_rng(0),
-    ).confidence_interval
-    return Estimate(
-        mean=float(sample.mean()),
-        low=float(interval.low),
-        high=float(interval.high),
-        episodes=len(sample),
-    )
+    chosen = np.random.default_rng(0).integers(0, len(sample), (RESAMPLES, len(sample)))
+    means = np.sort(sample[chosen].mean(axis=-1))
+    low, high = _quantile(means, TAIL), _quantile(means, 1.0 - TAIL)
+    return Estimate(float(sample.mean()), low, high, len(sample))
+
+
+def _quantile(ordered: np.ndarray, probability: float) -> float:
+    """Return a quantile of sorted numbers, interpolated linearly."""
+    place = probability * len(ordered) + (1.0 - probability)
+    whole = math.floor(place)
+    part = place - whole
+    return float((1.0 - part) * ordered[whole - 1] + part * ordered[whole])
