@@ -4,6 +4,7 @@ The folder of a run contains this file and `policy.safetensors`, the trained pol
 """
 
 import dataclasses
+import functools
 import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -307,7 +308,7 @@ class RunConfig:
         """Options of the last stage as given."""
         return {**self.options, **self.stages[-1]}
 
-    @property
+    @functools.cached_property
     def _resolved(self) -> EnvOptions:
         """All options of the last stage, with defaults."""
         return resolve_options(find_task(self.task), self._given).options
