@@ -3,14 +3,14 @@
 `collect` flies all worlds by the present policy and estimates how much better than expected each
 action was; `learn` makes better actions more likely. With `--critic state` the critic also sees the
 state of the whole world (MAPPO). Settings are those of `bulletuav train --algo fast_ppo`, which is
-the same algorithm in compiled kernels, several times faster. The output folder flies without
-PyTorch: `--policy FOLDER`.
+the same algorithm in compiled kernels, and faster. The output folder flies without PyTorch:
+`--policy FOLDER`.
 
 Run it:
 
     python examples/fast_ppo.py crossing
 
-Takes two minutes on one core. Needs the extra `sb3`.
+Takes a minute on one core. Needs the extra `sb3`.
 
 J. Schulman et al., Proximal policy optimization algorithms (2017).
 """

@@ -147,10 +147,8 @@ SHAPES = {
 }
 
 
-@pytest.mark.parametrize("changes", SHAPES.values(), ids=SHAPES)
-def test_gradients_are_those_of_pytorch(changes):
-    learner, env = collected(**changes)
-    seen, states = _observations(learner, changes)
+def minibatch(learner):
+    """Change the weights, and return the indices of samples, their gradient and their losses."""
     rollout, rng = learner._rollout, np.random.default_rng(0)
     learner.parameters[:] += 0.1 * rng.standard_normal(len(learner.parameters), np.float32)
     # Without saturated units, whose derivatives are rounding errors
@@ -159,7 +157,6 @@ def test_gradients_are_those_of_pytorch(changes):
     # Ratios that are clipped on both sides
     rollout.log_densities[:] += 0.3 * rng.standard_normal(rollout.rewards.shape)
     flown = rng.permutation(np.flatnonzero(~np.isnan(rollout.rewards)))[:75]
-    own = learner._settings.losses
     found = np.zeros(5)
     compute_gradient(
         learner.parameters,
@@ -168,18 +165,29 @@ def test_gradients_are_those_of_pytorch(changes):
         learner._work,
         rollout,
         flown,
-        own,
+        learner._settings.losses,
         found,
     )
+    return flown, learner._gradient, found
+
+
+@pytest.mark.parametrize("changes", SHAPES.values(), ids=SHAPES)
+def test_gradients_are_those_of_pytorch(changes):
+    learner, env = collected(**changes)
+    seen, states = _observations(learner, changes)
+    flown, own_gradient, found = minibatch(learner)
+    rollout = learner._rollout
     t, m = np.divmod(flown, env.num_envs)
     arrays = (rollout.actions, rollout.log_densities, rollout.advantages, rollout.returns)
     rows = [torch.tensor(array[t, m]) for array in arrays]
     seen, masks = torch.tensor(seen[t, m]), torch.tensor(rollout.masks[t, m])
     state = torch.tensor(states[t, m // env.num_drones])
     weights = {name: array.copy() for name, array in learner.named_weights().items()}
-    loss, parameters, parts = torch_loss(learner, env, weights, rows, seen, state, masks, own)
+    loss, parameters, parts = torch_loss(
+        learner, env, weights, rows, seen, state, masks, learner._settings.losses
+    )
     loss.backward()
-    learner.parameters[:] = learner._gradient
+    learner.parameters[:] = own_gradient
     for name, gradient in learner.named_weights().items():
         expected = parameters[name].grad.numpy()
         np.testing.assert_allclose(gradient, expected, rtol=1e-3, atol=1e-5, err_msg=name)
@@ -219,32 +227,18 @@ def numpy_loss(parameters, learner, chosen):
 
 def test_gradients_are_finite_differences_of_the_loss():
     learner, _ = collected(**SHAPES["masks, central critic"])
-    rollout, rng = learner._rollout, np.random.default_rng(0)
-    learner.parameters[:] += 0.1 * rng.standard_normal(len(learner.parameters), np.float32)
-    compute_advantages(rollout, 0.9, 0.9)
-    rollout.log_densities[:] += 0.3 * rng.standard_normal(rollout.rewards.shape)
-    chosen = rng.permutation(np.flatnonzero(~np.isnan(rollout.rewards)))[:75]
-    t, m = np.divmod(chosen, rollout.rewards.shape[1])
-    assert not rollout.masks[t, m].all()
-    compute_gradient(
-        learner.parameters,
-        learner._gradient,
-        learner.networks,
-        learner._work,
-        rollout,
-        chosen,
-        learner._settings.losses,
-        np.zeros(5),
-    )
+    chosen, gradient, _ = minibatch(learner)
+    t, m = np.divmod(chosen, learner._rollout.rewards.shape[1])
+    assert not learner._rollout.masks[t, m].all()
     parameters = learner.parameters.astype(float)
-    for k in rng.permutation(len(parameters))[:200]:
+    for k in np.random.default_rng(1).permutation(len(parameters))[:200]:
         around = []
         for change in (1e-5, -1e-5):
             moved = parameters.copy()
             moved[k] += change
             around.append(numpy_loss(moved, learner, chosen))
         difference = (around[0] - around[1]) / 2e-5
-        assert learner._gradient[k] == pytest.approx(difference, rel=1e-3, abs=1e-5)
+        assert gradient[k] == pytest.approx(difference, rel=1e-3, abs=1e-5)
 
 
 def test_choices_are_drawn_by_their_probabilities():
