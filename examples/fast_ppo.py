@@ -9,6 +9,7 @@ the same algorithm in compiled kernels, and faster. The output folder flies with
 Run it:
 
     python examples/fast_ppo.py crossing
+    python examples/fast_ppo.py hover
 
 Takes a minute on one core. Needs the extra `sb3`.
 
