@@ -19,8 +19,8 @@ DECLARED = re.compile(
     re.MULTILINE,
 )
 """An ingredient: a decorated class or function, the first line of its docstring, and the rest"""
-SHIPPED_NAMES = ("trained", "untrained")
-"""Names of policies in the package that select a different policy for each task"""
+SHIPPED_NAMES = ("trained", "untrained", "foundation")
+"""Names of trained policies in the package; the first two select a different one for each task"""
 NAME = re.compile(r'^    name(?:: .*)? = "(\w+)"', re.MULTILINE)
 VERSION = re.compile(r"^    version(?:: .*)? = (\d+)", re.MULTILINE)
 

@@ -17,6 +17,7 @@ from bulletuav.policies.layers import (
     Argmax,
     Clip,
     Dense,
+    Gru,
     Layer,
     LimitNorm,
     Lookup,
@@ -68,14 +69,14 @@ observation, each clipped to its bounds:
 {_list(policy.inputs)}
 
 setpoint (axes: world ENU, body FLU):
-{_list(policy.outputs)}
+{_list(policy.outputs)}{_memory_note(policy)}
 */
 #ifndef {guard}
 #define {guard}
 
 #define {name.upper()}_INPUTS {len(policy.inputs)}
 #define {name.upper()}_OUTPUTS {len(policy.outputs)}
-
+{f"#define {name.upper()}_HIDDEN {policy.memory}" if policy.memory else ""}
 #ifdef __cplusplus
 extern "C" {{
 #endif
@@ -89,7 +90,18 @@ void {name}({_arguments(policy, precision)});
 
 
 def _arguments(policy: Deployed, kind: str) -> str:
-    return f"const {kind} observation[{len(policy.inputs)}], {kind} setpoint[{len(policy.outputs)}]"
+    hidden = f"{kind} hidden[{policy.memory}], " if policy.memory else ""
+    return (
+        f"const {kind} observation[{len(policy.inputs)}], {hidden}"
+        f"{kind} setpoint[{len(policy.outputs)}]"
+    )
+
+
+def _memory_note(policy: Deployed) -> str:
+    """Return the lines about the hidden state, if there is one."""
+    if not policy.memory:
+        return ""
+    return "\n\nhidden: state of one drone, changed by each call; zeros before the first one"
 
 
 def _list(labels: tuple[Label, ...]) -> str:
@@ -121,7 +133,8 @@ def _source(policy: Deployed, name: str, precision: str) -> str:
         fields = _fields(layer, str(k), precision, tables)
         steps.append(f"    /* {type(layer).__name__} */\n{write(fields, width, given)}")
         width = given
-        widths.append(width)
+        # The gates of a recurrent unit are three times as wide
+        widths.append(3 * width if isinstance(layer, Gru) else width)
     # Both buffers have the width of the widest layer
     buffer_size = max(widths)
     is_swarm = any(isinstance(layer, SwarmLayer) for layer in policy.layers)
@@ -134,6 +147,7 @@ def _source(policy: Deployed, name: str, precision: str) -> str:
 typedef {precision} number;
 #define F(function) function{"##f" if suffix else ""}
 #define SYMLOG(scale, value) F(copysign)(F(log1p)((scale) * F(fabs)(value)), value)
+#define LOGISTIC(value) ((F(tanh)((value) / 2) + 1) / 2)
 
 {"".join(tables)}{_approach(precision) if is_swarm else ""}
 void {name}({_arguments(policy, "number")})
@@ -214,6 +228,27 @@ def _dense(f: Fields, width: int, given: int) -> str:
         for (j = 0; j < {width}; j++) y[i] += {f["weight"]}[{width} * i + j] * x[j];
     }}
 {_each("x[i] = y[i];", given)}"""
+
+
+def _gru(f: Fields, width: int, given: int) -> str:
+    gates = 3 * given
+    return f"""    {{
+        number parts[{gates}];
+        for (i = 0; i < {gates}; i++) {{
+            y[i] = {f["bias_in"]}[i];
+            parts[i] = {f["bias_hidden"]}[i];
+            for (j = 0; j < {width}; j++) y[i] += {f["weight_in"]}[{width} * i + j] * x[j];
+            for (j = 0; j < {given}; j++)
+                parts[i] += {f["weight_hidden"]}[{given} * i + j] * hidden[j];
+        }}
+        for (i = 0; i < {given}; i++) {{
+            const number reset = LOGISTIC(y[i] + parts[i]);
+            const number update = LOGISTIC(y[{given} + i] + parts[{given} + i]);
+            x[i] = F(tanh)(y[{2 * given} + i] + reset * parts[{2 * given} + i]);
+            hidden[i] = x[i] = (1 - update) * x[i] + update * hidden[i];
+        }}
+    }}
+"""
 
 
 def _tanh(f: Fields, width: int, given: int) -> str:
@@ -332,6 +367,7 @@ LAYERS: dict[type[Layer], Callable[[Fields, int, int], str]] = {
     Affine: _affine,
     SymlogLayer: _symlog,
     Dense: _dense,
+    Gru: _gru,
     Tanh: _tanh,
     Relu: _relu,
     SquareRoot: _square_root,
@@ -353,7 +389,7 @@ def run_c(path: Path, rows: np.ndarray, policy: Deployed, precision: str) -> np.
 
     Args:
         path: The C file.
-        rows: (M, D) observations.
+        rows: (M, D) observations; with a hidden state, consecutive ones of one drone.
         policy: The policy that the file was written from.
         precision: Precision of the file, "float" or "double".
 
@@ -382,8 +418,9 @@ def run_c(path: Path, rows: np.ndarray, policy: Deployed, precision: str) -> np.
         # One call for each observation, as on a drone
         function = getattr(ctypes.CDLL(str(library)), path.stem)
         given = np.empty((len(rows), len(policy.outputs)))
+        hidden = [(kind * policy.memory)()] if policy.memory else []
         for row, out in zip(rows, given, strict=True):
             setpoint = (kind * len(out))()
-            function((kind * len(row))(*map(float, row)), setpoint)
+            function((kind * len(row))(*map(float, row)), *hidden, setpoint)
             out[:] = list(setpoint)
     return given

@@ -14,6 +14,7 @@ from bulletuav.control.actions import Action
 from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.envs.env_spec import EnvSpec
 from bulletuav.errors import shown, suggest_names
+from bulletuav.policies.features import dense
 from bulletuav.policies.find import read_run_config
 from bulletuav.policies.layers import (
     Affine,
@@ -25,8 +26,10 @@ from bulletuav.policies.layers import (
     SquareRoot,
     width_after,
 )
-from bulletuav.policies.neural_network import Network, is_plain, read_weights
-from bulletuav.policies.run import POLICY, RunConfig
+from bulletuav.policies.neural_network import Network, Weights, is_plain, read_weights
+from bulletuav.policies.recurrent import RecurrentNetwork, axes_layers
+from bulletuav.policies.rotor_axes import find_rotor_axes
+from bulletuav.policies.run import FOUNDATION, POLICY, RunConfig
 from bulletuav.sensors.base import Label
 from bulletuav.tasks.observations.observer import ObservationBuilder
 
@@ -62,7 +65,9 @@ class Deployed(NamedTuple):
         outputs: Name, unit and bounds of each number of the setpoint, in world (ENU) or body (FLU)
             axes.
         layers: The layers, from first to last.
-        act: The policy as the package computes it, from (M, D) observations to (M, S) setpoints.
+        act: The policy as the package computes it, from (M, D) observations to (M, S) setpoints;
+            with a hidden state, the observations are consecutive ones of one drone.
+        memory: Number of numbers of the hidden state, 0 for none.
     """
 
     about: str
@@ -70,6 +75,7 @@ class Deployed(NamedTuple):
     outputs: tuple[Label, ...]
     layers: tuple[Layer, ...]
     act: Callable[[np.ndarray], np.ndarray]
+    memory: int = 0
 
     def observations(self) -> np.ndarray:
         """Sample observations within the bounds and slightly beyond, with a fixed seed.
@@ -86,19 +92,27 @@ class Deployed(NamedTuple):
         return np.asarray(low + share * (high - low), dtype=np.float32)
 
 
-def deployed(folder: Path, trust: bool = False) -> Deployed:
+def deployed(folder: Path, trust: bool = False, airframe: str | None = None) -> Deployed:
     """Read the policy of a training run as a chain of layers.
 
     Args:
         folder: Folder of the run or of one of its checkpoints.
         trust: If True, modules that `run.yaml` names may be imported.
+        airframe: Name or URDF of the airframe, whose rotor speeds a policy of rotors commands; None
+            for that of the evaluations.
 
     Raises:
         ValueError: If the folder is not a run, or its network or action cannot be exported.
         FileNotFoundError: If the folder does not exist.
     """
     config = read_run_config(folder, trust)
-    spec = EnvSpec(config.task, 1, config.evaluated)
+    options = config.evaluated | ({} if airframe is None else {"airframe": airframe})
+    if not isinstance(options.get("airframe", ""), str):
+        raise ValueError(
+            f"{folder} flies several airframes, {', '.join(map(str, options['airframe']))}: choose "
+            f"one by --airframe NAME"
+        )
+    spec = EnvSpec(config.task, 1, options)
     # Other policies have layers that only PyTorch can compute
     if not isinstance(spec.observer.space(), Box) or not is_plain(config.algo, config.settings):
         raise ValueError(
@@ -111,6 +125,8 @@ def deployed(folder: Path, trust: bool = False) -> Deployed:
             f"part of its network: train without action_masks to export it"
         )
     weights = read_weights(folder / POLICY)
+    if config.algo == FOUNDATION:
+        return _recurrent(config, spec, weights)
     network = Network(weights, config.algo, config.settings, spec.observer.labels)
     action, observer = spec.action, spec.observer
     outputs, decoding = _setpoints(action)
@@ -121,8 +137,35 @@ def deployed(folder: Path, trust: bool = False) -> Deployed:
         setpoint = action.decode(given, np.zeros((len(rows), 1, 3)))
         return setpoint[:, 0, : len(outputs)]
 
-    about = f"bulletuav policy: task {config.task}, {config.algo}, action {action.name}"
-    chain = Deployed(about, tuple(observer.labels), outputs, layers, act)
+    chain = Deployed(_describe(config, action), tuple(observer.labels), outputs, layers, act)
+    _require_chain(chain)
+    return chain
+
+
+def _describe(config: RunConfig, action: Action) -> str:
+    """Return a description of a policy in one line."""
+    return f"bulletuav policy: task {config.task}, {config.algo}, action {action.name}"
+
+
+def _recurrent(config: RunConfig, spec: EnvSpec, weights: Weights) -> Deployed:
+    """Return the chain of a recurrent policy, for the airframe of an environment."""
+    network, action, observer = RecurrentNetwork(weights), spec.action, spec.observer
+    (airframe,) = spec.options.airframe
+    to_common, to_own = axes_layers(find_rotor_axes(airframe))
+    outputs, decoding = _setpoints(action)
+    own = (*_observing(observer, config), to_common, *network.layers(), to_own)
+
+    def act(rows: np.ndarray) -> np.ndarray:
+        hidden, given = np.zeros((1, network.hidden_size)), []
+        for row in dense(_observed(observer, config, rows), *to_common):
+            actions, hidden = network.step(row[None], hidden)
+            given.append(dense(actions, *to_own))
+        setpoint = action.decode(np.array(given), np.zeros((len(rows), 1, 3)))
+        return setpoint[:, 0, : len(outputs)]
+
+    about = f"{_describe(config, action)}, airframe {airframe.name}"
+    layers = (*own, *decoding)
+    chain = Deployed(about, tuple(observer.labels), outputs, layers, act, network.hidden_size)
     _require_chain(chain)
     return chain
 

@@ -15,6 +15,7 @@ from bulletuav.policies.layers import (
     Clip,
     Dense,
     EntityGroup,
+    Gru,
     Layer,
     LimitNorm,
     Lookup,
@@ -48,6 +49,7 @@ class _Graph:
         self.kind = kind
         self.nodes: list[Any] = []
         self.constants: list[Any] = []
+        self.next_hidden: str | None = None
 
     def constant(self, values: Any) -> str:
         """Add a constant and return its name; integers become int64."""
@@ -66,6 +68,9 @@ class _Graph:
 
 def write_onnx(policy: Deployed, path: Path, precision: str = "float") -> list[Path]:
     """Write a policy as an ONNX model: (drones, D) "observation" to (drones, S) "setpoint".
+
+    A policy with a hidden state has the further input "hidden", zeros at first, and the output
+    "next_hidden", both (drones, H).
 
     Args:
         policy: The policy. Names, units and bounds of its numbers are stored as metadata of the
@@ -90,13 +95,18 @@ def write_onnx(policy: Deployed, path: Path, precision: str = "float") -> list[P
         value = write(graph, value, layer)
     # Rename the output of the last layer
     graph.nodes.append(helper.make_node("Identity", [value], ["setpoint"]))
+    if graph.next_hidden is not None:
+        graph.nodes.append(helper.make_node("Identity", [graph.next_hidden], ["next_hidden"]))
     # The first axis is the number of drones, which is free
     kind = TensorProto.FLOAT if precision == "float" else TensorProto.DOUBLE
-    sizes = {"observation": len(policy.inputs), "setpoint": len(policy.outputs)}
+    inputs, outputs = {"observation": len(policy.inputs)}, {"setpoint": len(policy.outputs)}
+    if policy.memory:
+        inputs["hidden"] = outputs["next_hidden"] = policy.memory
     given, out = (
-        helper.make_tensor_value_info(name, kind, ["drones", size]) for name, size in sizes.items()
+        [helper.make_tensor_value_info(name, kind, ["drones", one[name]]) for name in one]
+        for one in (inputs, outputs)
     )
-    body = helper.make_graph(graph.nodes, "policy", [given], [out], graph.constants)
+    body = helper.make_graph(graph.nodes, "policy", given, out, graph.constants)
     model = helper.make_model(
         body,
         opset_imports=[helper.make_opsetid("", OPSET)],
@@ -122,7 +132,7 @@ def run_onnx(path: Path, rows: np.ndarray, policy: Deployed, precision: str) -> 
 
     Args:
         path: The file.
-        rows: (M, D) observations.
+        rows: (M, D) observations; with a hidden state, consecutive ones of one drone.
         policy: The policy that the file was written from.
         precision: Precision of the file, "float" or "double".
 
@@ -131,8 +141,16 @@ def run_onnx(path: Path, rows: np.ndarray, policy: Deployed, precision: str) -> 
     """
     session = onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
     kind = np.float32 if precision == "float" else np.float64
-    (given,) = session.run(["setpoint"], {"observation": rows.astype(kind)})
-    return np.asarray(given, dtype=float)
+    rows = rows.astype(kind)
+    if not policy.memory:
+        (given,) = session.run(["setpoint"], {"observation": rows})
+        return np.asarray(given, dtype=float)
+    hidden, setpoints = np.zeros((1, policy.memory), kind), []
+    for row in rows:
+        feeds = {"observation": row[None], "hidden": hidden}
+        setpoint, hidden = session.run(["setpoint", "next_hidden"], feeds)
+        setpoints.append(setpoint[0])
+    return np.array(setpoints, dtype=float)
 
 
 def _describe_labels(labels: Iterable[Label]) -> str:
@@ -159,6 +177,25 @@ def _symlog(graph: _Graph, value: str, layer: SymlogLayer) -> str:
 def _dense(graph: _Graph, value: str, layer: Dense) -> str:
     product = graph.add("MatMul", value, graph.constant(layer.weight.T))
     return graph.add("Add", product, graph.constant(layer.bias))
+
+
+def _gru(graph: _Graph, value: str, layer: Gru) -> str:
+    given, parts = (
+        [
+            _dense(graph, source, Dense(rows, biases))
+            for rows, biases in zip(np.split(weight, 3), np.split(bias, 3), strict=True)
+        ]
+        for source, weight, bias in (
+            (value, layer.weight_in, layer.bias_in),
+            ("hidden", layer.weight_hidden, layer.bias_hidden),
+        )
+    )
+    reset, update = (graph.add("Sigmoid", graph.add("Add", given[k], parts[k])) for k in (0, 1))
+    kept = graph.add("Mul", reset, parts[2])
+    candidate = graph.add("Tanh", graph.add("Add", given[2], kept))
+    fresh = graph.add("Mul", graph.add("Sub", graph.constant(1.0), update), candidate)
+    graph.next_hidden = graph.add("Add", fresh, graph.add("Mul", update, "hidden"))
+    return graph.next_hidden
 
 
 def _tanh(graph: _Graph, value: str, layer: Tanh) -> str:
@@ -255,6 +292,7 @@ LAYERS: dict[type[Layer], Callable[[_Graph, str, Any], str]] = {
     Affine: _affine,
     SymlogLayer: _symlog,
     Dense: _dense,
+    Gru: _gru,
     Tanh: _tanh,
     Relu: _relu,
     SquareRoot: _square_root,

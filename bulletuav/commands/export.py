@@ -86,6 +86,8 @@ def run(arguments: argparse.Namespace) -> None:
         raise ValueError(
             "--precision is for policies: the format of a flight defines its precision"
         )
+    if arguments.airframe is not None:
+        raise ValueError("--airframe is for policies: the airframes of a flight are recorded")
     name, write = FORMATS[arguments.to]
     recording, _ = read_run(arguments.run)
     folder = arguments.run if arguments.run.is_dir() else arguments.run.parent
@@ -100,7 +102,9 @@ def _export_policy(arguments: argparse.Namespace) -> None:
     precision = arguments.precision or PRECISIONS[0]
     find_choice("precision", precision, dict.fromkeys(PRECISIONS))
     files, difference = write(
-        deployed(arguments.run, arguments.trust), arguments.out or arguments.run / name, precision
+        deployed(arguments.run, arguments.trust, arguments.airframe),
+        arguments.out or arguments.run / name,
+        precision,
     )
     if precision == "double" and difference > AGREEMENT:
         raise ValueError(f"{files[0]} differs from the policy by {difference:.2g}: report it")

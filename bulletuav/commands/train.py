@@ -22,8 +22,8 @@ from bulletuav.envs.resolve_options import resolve_options
 from bulletuav.files import replace_file
 from bulletuav.interrupts import TEXT
 from bulletuav.policies.run import (
+    COMPILED,
     CONFIG,
-    FAST,
     INTERFACE,
     POLICY,
     SCENE,
@@ -127,7 +127,7 @@ def base_config(arguments: argparse.Namespace, task: str | None) -> RunConfig:
         file = arguments.config / CONFIG if is_folder else arguments.config
         return RunConfig.read(file, arguments.trust)
     assert task is not None
-    run = default_run(task, FAST if arguments.algo == FAST else "ppo")
+    run = default_run(task, arguments.algo if arguments.algo in COMPILED else "ppo")
     # The dynamics of the defaults may not support the given action
     is_kept = "action" not in given_options(arguments)
     options = {name: one for name, one in run.options.items() if is_kept or name != "dynamics"}

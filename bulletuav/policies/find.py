@@ -15,7 +15,17 @@ from bulletuav.envs.resolve_options import action_for, resolve_options
 from bulletuav.errors import find_choice, shown, unknown
 from bulletuav.policies.base import Policy, check_action
 from bulletuav.policies.mismatch import naming_task
-from bulletuav.policies.run import CHECKPOINTS, CONFIG, POLICY, SB3_ALGORITHMS, RunConfig, shipped
+from bulletuav.policies.recurrent import RecurrentPolicy
+from bulletuav.policies.run import (
+    CHECKPOINTS,
+    CONFIG,
+    FOUNDATION,
+    POLICY,
+    SB3_ALGORITHMS,
+    SHIPPED,
+    RunConfig,
+    shipped,
+)
 from bulletuav.policies.trained import TRUST, SharedPolicy, Trained, actions_given
 from bulletuav.policies.versus import (
     VERSUS,
@@ -124,8 +134,8 @@ def find_policy(
     Args:
         source: One of
 
-            - a name from `policy_names`; "trained" is the shipped policy for `task`, and
-              "untrained" its initial weights;
+            - a name from `policy_names`; "trained" is the shipped policy for `task`, "untrained"
+              its initial weights, and "foundation" the shipped policy for all quadrotors;
             - "module:Name", a class derived from `Policy` in an importable module;
             - such a class itself;
             - the folder of a training run, or of a checkpoint (RUN/checkpoints/003);
@@ -228,7 +238,9 @@ def _from_class(kind: type[Policy]) -> PolicySpec:
 
 
 def _from_package(name: str, task: TaskSource | None, trust: bool) -> PolicySpec:
-    """Find the shipped policy of a task, trained or with its initial weights."""
+    """Find the policy for all quadrotors, or that of a task, trained or with initial weights."""
+    if name == FOUNDATION:
+        return _from_run(SHIPPED / FOUNDATION, name, trust, task)
     if task is None:
         raise ValueError(f"policy {name!r} is another one in each task: say which task")
     run = shipped(find_task(task).name)
@@ -272,9 +284,15 @@ def _from_run(folder: Path, name: str, trust: bool, task: TaskSource | None) -> 
     elif not path.exists() and (folder / CHECKPOINTS).is_dir():
         raise FileNotFoundError(_describe_unfinished(folder))
     else:
-        spec = _from_file(name, path, lambda aviary: Trained(aviary, config, path))
+        spec = _from_file(name, path, lambda aviary: _make_trained(aviary, config, path))
         actions = actions_given(config.action)
     return spec._replace(actions=actions, options=config.interface)
+
+
+def _make_trained(aviary: Aviary, config: RunConfig, path: Path) -> Policy:
+    """Instantiate the policy of a run."""
+    is_recurrent = config.algo == FOUNDATION
+    return RecurrentPolicy(aviary, path) if is_recurrent else Trained(aviary, config, path)
 
 
 def _describe_unfinished(folder: Path) -> str:

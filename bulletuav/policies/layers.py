@@ -53,6 +53,25 @@ class Dense(NamedTuple):
     bias: np.ndarray
 
 
+class Gru(NamedTuple):
+    """Apply a gated recurrent unit, whose output is its next hidden state h.
+
+    With (r, z) = sigmoid(W x + b + U h + c) of the first rows and n = tanh(W x + b + r (U h + c))
+    of the last ones, the next state is (1 - z) n + z h.
+
+    Attributes:
+        weight_in: (3 H, inputs) W.
+        bias_in: (3 H,) b.
+        weight_hidden: (3 H, H) U.
+        bias_hidden: (3 H,) c.
+    """
+
+    weight_in: np.ndarray
+    bias_in: np.ndarray
+    weight_hidden: np.ndarray
+    bias_hidden: np.ndarray
+
+
 class Tanh(NamedTuple):
     """Apply the hyperbolic tangent to each number."""
 
@@ -119,6 +138,7 @@ Layer = (
     | Affine
     | SymlogLayer
     | Dense
+    | Gru
     | Tanh
     | Relu
     | SquareRoot
@@ -139,6 +159,8 @@ def width_after(layer: Layer, width: int) -> int:
     """
     if isinstance(layer, Dense):
         return len(layer.bias)
+    if isinstance(layer, Gru):
+        return int(layer.weight_hidden.shape[1])
     if isinstance(layer, SwarmLayer):
         return len(layer.own) + sum(2 * len(kind.layers[-1].bias) for kind in layer.kinds)
     if isinstance(layer, Argmax):

@@ -36,9 +36,13 @@ CHECKPOINTS = "checkpoints"
 """Name of the checkpoint folder of a run"""
 FAST = "fast_ppo"
 """PPO of `bulletuav.training.fast`, without PyTorch"""
+FOUNDATION = "foundation"
+"""Imitation of many teachers by one recurrent policy, see `bulletuav.training.foundation`"""
+COMPILED = (FAST, FOUNDATION)
+"""Training algorithms without PyTorch"""
 SB3_ALGORITHMS = ("ppo", "sac", "td3", "dqn", "a2c", "ddpg")
 """Training algorithms of stable-baselines3"""
-ALGORITHMS = (*SB3_ALGORITHMS, FAST)
+ALGORITHMS = (*SB3_ALGORITHMS, *COMPILED)
 """All training algorithms"""
 MASKABLE = ("ppo", FAST)
 """Algorithms that learn with masks of actions; "ppo" as MaskablePPO of sb3-contrib"""
@@ -106,6 +110,15 @@ DEFAULTS: dict[str, dict[str, Any]] = {
         "max_grad_norm": 0.5,
         "critic": "own",
         "policy_kwargs": {"net_arch": [64, 64], "log_std_init": -1.0},
+    },
+    FOUNDATION: {
+        "airframes": 64,
+        "hidden_size": 20,
+        "buffer_size": 2048,
+        "batch_size": 64,
+        "gradient_steps": 16,
+        "learning_rate": [5e-3, 1e-5],
+        "max_grad_norm": 1.0,
     },
     "a2c": {"n_steps": 16, "learning_rate": 7e-4, "gamma": 0.99},
     "sac": {**_REPLAY, "learning_rate": 1e-3, "gradient_steps": 4},
@@ -353,7 +366,8 @@ def write_settings(values: Mapping[str, Any]) -> str:
 
 def shipped_tasks() -> list[str]:
     """List the tasks with a trained policy in the package."""
-    return sorted(path.parent.name for path in SHIPPED.glob(f"*/{CONFIG}"))
+    folders = (path.parent.name for path in SHIPPED.glob(f"*/{CONFIG}"))
+    return sorted(name for name in folders if name != FOUNDATION)
 
 
 def shipped(task: str) -> Path:

@@ -4,11 +4,21 @@ import dataclasses
 from collections.abc import Mapping
 from typing import Any
 
-from bulletuav.policies.run import CONFIG, FAST, SCENE, RunConfig, shipped, shipped_tasks
+from bulletuav.policies.recurrent import BLOCKS
+from bulletuav.policies.run import (
+    CONFIG,
+    FAST,
+    FOUNDATION,
+    SCENE,
+    RunConfig,
+    shipped,
+    shipped_tasks,
+)
 from bulletuav.tasks import find_task
 from bulletuav.tasks.default import Default
 from bulletuav.tasks.goal_flight import GoalFlight
 from bulletuav.tasks.user_service import UserService
+from bulletuav.training.foundation.settings import require_hover
 
 REPLACED = {"position": None, "goal": "goal_offset", "neighbours": "intruders"}
 """Blocks of a goal flight's observation that training leaves out (None) or replaces.
@@ -164,6 +174,25 @@ FAST_OWN: dict[str, dict[str, Any]] = {
     },
 }
 """Settings of single tasks with the algorithm `FAST`, in addition to those with `ppo`"""
+ONE_FOR_ALL: dict[str, Any] = {
+    "steps": 20_000_000,
+    "worlds": 4,
+    "options": {
+        "dynamics": "rigid_body",
+        "difficulty": "hard",
+        "max_distance": 5.0,
+        "observation": list(BLOCKS),
+        "action": "rotor",
+        # The policy keeps its rate wherever it flies
+        "decision_hz": 30,
+    },
+    "evaluations": 10,
+    "evaluation": {
+        "difficulty": "medium",
+        "airframe": ["cf21B", "cf2p", "cf2x", "cf2x_L250", "hummingbird", "iris", "racer"],
+    },
+}
+"""Settings of runs with the algorithm `FOUNDATION`"""
 USERS = ("position", "all_neighbours", "targets", "sight_matrix", "sight_ahead")
 """Blocks of an observation that the network `user_sum` reads"""
 SERVICE: dict[str, Any] = {
@@ -196,11 +225,15 @@ def default_run(task: str, algo: str = "ppo") -> RunConfig:
 
     Args:
         task: Name of the task.
-        algo: Algorithm, "ppo" or `FAST`, whose settings are those of "ppo", replaced by `FAST_OWN`.
+        algo: Algorithm, "ppo", `FOUNDATION`, or `FAST`, whose settings are those of "ppo", replaced
+            by `FAST_OWN`.
 
     Raises:
         ValueError: If there is no such task.
     """
+    if algo == FOUNDATION:
+        require_hover(task)
+        return RunConfig(task, algo, **ONE_FOR_ALL)
     if algo == FAST:
         run = dataclasses.replace(default_run(task), algo=FAST)
         return _replace_settings(run, FAST_OWN.get(task, {}))

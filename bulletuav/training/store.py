@@ -25,8 +25,8 @@ from bulletuav.files import replace_file, whole_file
 from bulletuav.parsing import read_json
 from bulletuav.policies.run import (
     CHECKPOINTS,
+    COMPILED,
     CONFIG,
-    FAST,
     MODULE_NAME,
     POLICY,
     RunConfig,
@@ -60,7 +60,7 @@ PACKAGES = (
 )
 """Packages whose versions may affect the weights; PyBullet is optional"""
 LEARNING = ("stable_baselines3", "torch")
-"""Packages that the algorithm `FAST` does not use"""
+"""Packages that the algorithms `COMPILED` do not use"""
 Row = dict[str, float]
 """A row of the learning curve"""
 
@@ -107,7 +107,7 @@ class Store:
         self.curriculum: dict[str, Any] = {}
         self._config = config
         absent = set() if HAS_BULLET else {"pybullet"}
-        absent |= set(LEARNING) if config.algo == FAST else set()
+        absent |= set(LEARNING) if config.algo in COMPILED else set()
         packages = [name for name in PACKAGES if name not in absent]
         about = "# " + ", ".join(f"{name} {version(name)}" for name in packages)
         try:

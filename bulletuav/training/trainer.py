@@ -6,13 +6,16 @@ A resumed run ends with the same weights as an uninterrupted run.
 import importlib
 from pathlib import Path
 
-from bulletuav.policies.run import FAST, RunConfig
+from bulletuav.policies.run import FAST, FOUNDATION, RunConfig
 from bulletuav.training.fast.settings import check_fast_settings
+from bulletuav.training.foundation.settings import check_foundation_settings
 from bulletuav.training.segments import Note, Progress
 from bulletuav.training.store import Row, open_store
 
 FAST_LEARNER = "bulletuav.training.fast.learner"
 """Module of the algorithm `FAST`"""
+FOUNDATION_LEARNER = "bulletuav.training.foundation.learner"
+"""Module of the algorithm `FOUNDATION`"""
 MODELS = "bulletuav.training.models"
 """Module that checks the settings of all other algorithms"""
 SB3_LEARNER = "bulletuav.training.sb3_learner"
@@ -49,6 +52,8 @@ def train(
     """
     if config.algo == FAST:
         learn = importlib.import_module(FAST_LEARNER).learn_fast
+    elif config.algo == FOUNDATION:
+        learn = importlib.import_module(FOUNDATION_LEARNER).learn_foundation
     else:
         learn = importlib.import_module(SB3_LEARNER).learn_by_sb3
     with open_store(out, config) as store:
@@ -67,5 +72,7 @@ def check_algorithm(config: RunConfig) -> None:
     """
     if config.algo == FAST:
         check_fast_settings(config)
+    elif config.algo == FOUNDATION:
+        check_foundation_settings(config)
     else:
         importlib.import_module(MODELS).check_settings(config)

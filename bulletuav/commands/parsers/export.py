@@ -18,7 +18,8 @@ ABOUT = {
   bulletuav fly crossing --out flight && bulletuav export flight --to mcap
   bulletuav export flight --to rerun --out crossing.rrd
   bulletuav train crossing --out crossing-run && bulletuav export crossing-run --to c
-  bulletuav export crossing-run --to onnx --precision double""",
+  bulletuav export crossing-run --to onnx --precision double
+  bulletuav export foundation-run --to c --airframe racer""",
 }
 
 
@@ -60,5 +61,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help=_formats,
     )
     parser.add_argument("--precision", help=_precisions)
+    parser.add_argument(
+        "--airframe",
+        metavar="NAME",
+        help="airframe of a policy that flies several: a name, or the path of a URDF",
+    )
     add_trust(parser)
     parser.add_argument("--out", type=Path, metavar="FILE", help=_files)
