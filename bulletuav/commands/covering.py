@@ -27,7 +27,7 @@ from bulletuav.geometry.grid import MIN_POINTS
 from bulletuav.identification.example import fly_example, write_example_log
 from bulletuav.identification.identify import identify
 from bulletuav.policies import find_policy, policy_names
-from bulletuav.policies.run import FAST
+from bulletuav.policies.run import FAST, FOUNDATION
 from bulletuav.registry import names
 from bulletuav.tasks import find_task, list_tasks
 from bulletuav.training.schedules import default_run
@@ -254,9 +254,9 @@ def _identify() -> None:
 
 
 def _train_shortly() -> None:
-    """Train a policy in a few decisions of two drones."""
-    config = default_run("crossing", FAST)
+    """Train policies without PyTorch in a few decisions."""
     changes: dict[str, Any] = {"steps": 1, "worlds": 2, "evaluations": 1, "episodes": 1}
     evaluation = {"horizon": DECISIONS}
-    with tempfile.TemporaryDirectory() as folder:
-        train(dataclasses.replace(config, **changes, evaluation=evaluation), Path(folder))
+    for config in (default_run("crossing", FAST), default_run("hover", FOUNDATION)):
+        with tempfile.TemporaryDirectory() as folder:
+            train(dataclasses.replace(config, **changes, evaluation=evaluation), Path(folder))

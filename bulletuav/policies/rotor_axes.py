@@ -16,8 +16,8 @@ TURNS = (-1, 1, -1, 1)
 """Reaction torques of the rotors about z: front right, back right, back left, front left"""
 _ANGLES = (-math.pi / 4, -3 * math.pi / 4, 3 * math.pi / 4, math.pi / 4)
 """Angles of the rotors from the x axis, rad"""
-_SAME = 1e-9
-"""Difference below which two angles are equal, rad"""
+_DIGITS = 9
+"""Decimals of a yaw in rad, so that axes of symmetric airframes are equal"""
 
 
 class RotorAxes(NamedTuple):
@@ -50,20 +50,18 @@ def find_rotor_axes(airframe: Airframe) -> RotorAxes:
         )
     angles = [float(atan2(y, x)) for x, y, _ in rotors]
     clockwise = sorted(range(4), key=lambda k: -angles[k])
-    best: RotorAxes | None = None
+    found = []
     for first in range(4):
         order = tuple(clockwise[(first + k) % 4] for k in range(4))
         if tuple(rotors[k][2] for k in order) != TURNS:
             continue
         turned = [angles[k] - angle for k, angle in zip(order, _ANGLES, strict=True)]
         mean = float(atan2(sum(map(float, map(sin, turned))), sum(map(float, map(cos, turned)))))
-        yaw = 0.0 if abs(mean) < _SAME else mean
-        # Of opposite axes at 90 degrees, those to the left
-        if best is None or (abs(yaw) - _SAME, -yaw) < (abs(best.yaw), -best.yaw):
-            best = RotorAxes(yaw, order)
-    if best is None:
+        found.append(RotorAxes(round(mean, _DIGITS), order))
+    if not found:
         raise ValueError(
             f"neighbouring rotors of airframe {airframe.name!r} spin in the same direction, and "
             f"this policy flies quadrotors with alternating directions: train a policy for this one"
         )
-    return best
+    # Of opposite axes at 90 degrees, those to the left
+    return min(found, key=lambda one: (abs(one.yaw), -one.yaw))

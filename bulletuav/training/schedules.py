@@ -180,7 +180,10 @@ ONE_FOR_ALL: dict[str, Any] = {
     "options": {
         "dynamics": "rigid_body",
         "difficulty": "hard",
-        "max_distance": 5.0,
+        # Far starts, so that drones learn to approach far goals at a constant speed
+        "start_offset": 3.0,
+        "spacing": 8.0,
+        "max_distance": 8.0,
         "observation": list(BLOCKS),
         "action": "rotor",
         # The policy keeps its rate wherever it flies

@@ -29,7 +29,7 @@ from bulletuav.training.fast.dense import (
 HALF, TWO = np.float32(0.5), np.float32(2.0)
 
 
-class Sizes(NamedTuple):
+class GruSizes(NamedTuple):
     """Widths of the network.
 
     Attributes:
@@ -87,12 +87,12 @@ class Changes(NamedTuple):
     turned: np.ndarray
 
 
-def count_gru(sizes: Sizes) -> int:
+def count_gru(sizes: GruSizes) -> int:
     """Return the number of parameters of the network."""
     return int(_start(sizes, 3) + (sizes.hidden + 1) * sizes.outputs)
 
 
-def make_steps(sizes: Sizes, length: int) -> Steps:
+def make_steps(sizes: GruSizes, length: int) -> Steps:
     """Allocate the values of T steps; the first hidden state is zero."""
     inputs, hidden, outputs = sizes
     shapes = (
@@ -107,7 +107,7 @@ def make_steps(sizes: Sizes, length: int) -> Steps:
     return Steps(*(np.zeros((*shape, BLOCK), np.float32) for shape in shapes))
 
 
-def make_changes(sizes: Sizes) -> Changes:
+def make_changes(sizes: GruSizes) -> Changes:
     """Allocate the gradients of a step."""
     inputs, hidden, outputs = sizes
     rows = (outputs, hidden, hidden, 3 * hidden, 3 * hidden, hidden)
@@ -115,7 +115,7 @@ def make_changes(sizes: Sizes) -> Changes:
     return Changes(*(np.zeros(shape, np.float32) for shape in shapes))
 
 
-def gru_arrays(parameters: np.ndarray, sizes: Sizes) -> dict[str, np.ndarray]:
+def gru_arrays(parameters: np.ndarray, sizes: GruSizes) -> dict[str, np.ndarray]:
     """Return views of the parameters by the names of PyTorch modules `encoder`, `gru`, `decoder`.
 
     Args:
@@ -140,7 +140,7 @@ def gru_arrays(parameters: np.ndarray, sizes: Sizes) -> dict[str, np.ndarray]:
 
 
 @func
-def _start(sizes: Sizes, layer: int) -> int:
+def _start(sizes: GruSizes, layer: int) -> int:
     """Return the index of the first parameter: 0 encoder, 1 and 2 of the gates, 3 decoder."""
     inputs, hidden, _ = sizes
     gates = (hidden + 1) * 3 * hidden
@@ -148,7 +148,7 @@ def _start(sizes: Sizes, layer: int) -> int:
 
 
 @func
-def _step(parameters: np.ndarray, sizes: Sizes, steps: Steps, t: int) -> None:
+def _step(parameters: np.ndarray, sizes: GruSizes, steps: Steps, t: int) -> None:
     """Compute step t of a block from its inputs and the hidden state before it."""
     inputs, width, outputs = sizes
     hidden, gates, parts = steps.hidden[t], steps.gates[t], steps.from_hidden[t]
@@ -182,7 +182,7 @@ def _step(parameters: np.ndarray, sizes: Sizes, steps: Steps, t: int) -> None:
 def _step_back(
     parameters: np.ndarray,
     gradient: np.ndarray,
-    sizes: Sizes,
+    sizes: GruSizes,
     steps: Steps,
     changes: Changes,
     t: int,
@@ -225,7 +225,7 @@ def _step_back(
 @kernel
 def run_gru(
     parameters: np.ndarray,
-    sizes: Sizes,
+    sizes: GruSizes,
     steps: Steps,
     rows: np.ndarray,
     hidden: np.ndarray,
@@ -260,7 +260,7 @@ def run_gru(
 def add_gru_gradient(
     parameters: np.ndarray,
     gradient: np.ndarray,
-    sizes: Sizes,
+    sizes: GruSizes,
     steps: Steps,
     changes: Changes,
     rows: np.ndarray,

@@ -26,7 +26,7 @@ from bulletuav.policies.recurrent import LIMIT, NUM_INPUTS, NUM_ROTORS, SCALE
 from bulletuav.policies.run import FOUNDATION, POLICY, RunConfig
 from bulletuav.training.foundation.airframes import draw_airframe
 from bulletuav.training.foundation.gru import (
-    Sizes,
+    GruSizes,
     add_gru_gradient,
     count_gru,
     gru_arrays,
@@ -134,7 +134,7 @@ class Student:
         self._env = env
         self._total = config.steps
         self._horizon = env.aviary.options.horizon
-        self.sizes = Sizes(NUM_INPUTS, own.hidden_size, NUM_ROTORS)
+        self.sizes = GruSizes(NUM_INPUTS, own.hidden_size, NUM_ROTORS)
         self.num_steps = 0
         self._num_updates = 0
         self._loss = math.nan
