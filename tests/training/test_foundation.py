@@ -243,6 +243,24 @@ def test_a_rollout_has_whole_episodes_of_new_airframes_with_labels():
     np.testing.assert_allclose(student._rows[:, 1, 12:], student._labels[:, 0], atol=1e-6)
 
 
+def test_rotors_of_spinning_drones_stop():
+    run = config(steps=1000, options={**config().options, "horizon": 60})
+    student = Student(run, make_slots(run, AirframeSlots))
+    student.begin_segment(1)
+    # No teacher flies, and two opposite rotors turn each drone about its z axis
+    student.num_steps = 1000
+    student.parameters[:] = 0.0
+    gru_arrays(student.parameters, student.sizes)["decoder.bias"][:] = (1, -1, 1, -1)
+    student.collect(NoSegments())
+    last = student._rows[:10, 2:, 12:]
+    spins = np.isclose(last, (1, -1, 1, -1)).all(axis=-1)
+    stops = (last == -1.0).all(axis=-1)
+    assert spins[:, 0].all()
+    assert stops.any()
+    flown = np.arange(2, 60) < student._lengths[:10, None]
+    assert (spins | stops)[flown].all()
+
+
 def weights(folder):
     found = read_weights(folder / "policy.safetensors")
     return np.concatenate([found[name].ravel() for name in sorted(found)])

@@ -19,7 +19,7 @@ ABOUT = {
   bulletuav export flight --to rerun --out crossing.rrd
   bulletuav train crossing --out crossing-run && bulletuav export crossing-run --to c
   bulletuav export crossing-run --to onnx --precision double
-  bulletuav export foundation-run --to c --airframe racer""",
+  bulletuav export crossing-run --to c --airframe racer""",
 }
 
 

@@ -24,6 +24,7 @@ from bulletuav.errors import require_available_memory
 from bulletuav.policies.neural_network import HIGH, LOW, read_weights, write_weights
 from bulletuav.policies.recurrent import LIMIT, NUM_INPUTS, NUM_ROTORS, SCALE
 from bulletuav.policies.run import FOUNDATION, POLICY, RunConfig
+from bulletuav.sensors.imu import MAX_BODY_RATE
 from bulletuav.training.foundation.airframes import draw_airframe
 from bulletuav.training.foundation.gru import (
     GruSizes,
@@ -50,6 +51,8 @@ INPUT_LIMIT = (REACH,) * 3 + (5.0,) * 3 + (1.0,) * 3 + (20.0,) * 3 + (1.0,) * NU
 """Largest magnitude of each input, m, m/s, 1, rad/s and 1; beyond, it looks the same"""
 INPUT_SCALE = (2.0,) * 3 + (0.5,) * 3 + (2.0, 2.0, 1.0) + (0.2,) * 3 + (1.0,) * NUM_ROTORS
 """Factor on each input, so that usual values are close to 1"""
+RATES = slice(9, 12)
+"""Columns of the body rates in an observation"""
 FIRST_DECODER = 0.1
 """Factor on the initial weights of the last layer"""
 TAUGHT = 0.05
@@ -196,7 +199,10 @@ class Student:
             speeds = env.aviary.swarm.rotor_speed
             command_teachers(seen, speeds, most, hover, gains, labels)
             self._rows[here, t], self._labels[here, t] = rows, labels
-            env.step_async(np.where(taught[:, None], labels, np.clip(outputs, -1.0, 1.0)))
+            actions = np.where(taught[:, None], labels, np.clip(outputs, -1.0, 1.0))
+            # Rotors stop beyond the measured rates, so that drones do not spin faster and faster
+            actions[(np.abs(seen[:, RATES]) >= MAX_BODY_RATE).any(axis=1)] = -1.0
+            env.step_async(actions)
             seen, _, done, infos = env.step_wait()
             # A world whose drones are all done starts again, which the sequences leave out
             lengths[done & (lengths == self._horizon)] = t + 1
