@@ -140,7 +140,7 @@ def test_it_flies_drawn_airframes_that_it_has_never_seen():
 def test_it_flies_to_far_goals_and_holds_them():
     far = {"start_offset": 10.0, "height": 15.0, "spacing": 30.0, "max_distance": 40.0}
     options = {**far, "horizon": 900, "min_in_place": 0.5, "dynamics": "rigid_body"}
-    airframes = [load_airframe(name) for name in ("cf21B", "hummingbird", "racer")]
+    airframes = [load_airframe(name) for name in ("hummingbird", "iris", "racer")]
     assert fly(airframes, 2, **options).all()
 
 
