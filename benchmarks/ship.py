@@ -1,120 +1,234 @@
-"""Put the best run of each task into the package.
+"""Train policies of tasks by `fast_ppo`, put the best seeds into the package, and tabulate them.
 
-After `bulletuav train --all --out FOLDER`, and after `examples/fast_ppo.py swarm` with some seeds:
+    python benchmarks/ship.py free_flight obstacles --seeds 0 1 2
+    python benchmarks/ship.py free_flight --table
 
-    python benchmarks/ship.py FOLDER
-    python benchmarks/ship.py --swarm swarm-0 swarm-1 swarm-2
+Trains each task with its default settings, as `bulletuav train TASK --algo fast_ppo`. The best seed
+has the largest mean safe success in new episodes of the levels `DECIDING`, which no curve and no
+table shows: the few episodes of a curve would mistake luck for skill. It is put into the package if
+it is better than `stay`, and at least as good as the policy which the package has. The policies of
+the tasks are then flown in all levels beside `stay` and the baseline, in episodes which decided
+nothing, for the page docs/benchmarks/trained_policies.md; rows of other tasks stay.
 
-The best run is the seed with the largest return in new episodes, which neither a curve nor a table
-shows. The few episodes of a curve's last point would take luck for skill. Of swarms the best is the
-one that succeeds most without conflict in `CASES`; it flies the tasks of `SWARM`.
+With `--table`, only flies the policies that are in the package. A repeated call continues, and
+trains no finished run again.
 """
 
 import argparse
-import csv
-import dataclasses
 import re
 import shutil
-from collections.abc import Iterable
+import time
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from bulletuav.analysis.evaluation import evaluate
-from bulletuav.policies.run import CHECKPOINTS, CONFIG, POLICY, SHIPPED, RunConfig, shipped_tasks
+from bulletuav.analysis.metrics.estimates import Estimate
+from bulletuav.files import replace_file
+from bulletuav.policies import find_policy
+from bulletuav.policies.run import (
+    CHECKPOINTS,
+    CONFIG,
+    FAST,
+    POLICY,
+    SHIPPED,
+    RunConfig,
+    shipped_tasks,
+)
+from bulletuav.tasks import find_task
+from bulletuav.training.schedules import default_run
 from bulletuav.training.store import EVALUATION_SEED
+from bulletuav.training.trainer import train
 
-SEED = 2 * EVALUATION_SEED
-"""Seed of the first episode that decides"""
-SWARM = ("crossing", "converge")
-"""Tasks that the policy of a swarm flies"""
-CASES = (("crossing", 32), ("converge", 16))
-"""Tasks and numbers of drones that decide between swarms"""
+LEVELS = ("easy", "medium", "hard", "extreme")
+DECIDING = ("easy", "medium")
+"""Levels in which episodes decide between seeds"""
+DECIDING_SEED = 2 * EVALUATION_SEED
+TABLE_SEED = 7 * EVALUATION_SEED
+PAGE = Path(__file__).parents[1] / "docs" / "benchmarks" / "trained_policies.md"
+CPU = "cpu_seconds"
+"""Name of the file of a run with the CPU time of its training"""
+CHOICE = re.compile(r"^# Best of (.+)$", re.MULTILINE)
+"""Comment in the run.yaml of a policy in the package"""
+INTRODUCTION = """\
+# Policies in the package
+
+`--policy trained` flies these policies. Each one observes only what its row lists. Written by
+`python benchmarks/ship.py TASK`, which trains a task by `bulletuav train TASK --algo fast_ppo` with
+several seeds, and chooses the best one in other episodes: mean safe success at easy and medium.
+"""
+SETTINGS = ("task", "algorithm", "decisions", "trained with", "observes", "seeds")
+SCORES = ("task", "difficulty", "`trained`", "`stay`", "baseline", "episodes")
 
 
-def outcome(run: Path, episodes: int) -> float:
-    """Evaluate the policy of a run with the settings of the evaluations during its training.
+def train_seed(task: str, seed: int, folder: Path) -> Path:
+    """Train a task with a seed, and return the folder of the run."""
+    run = folder / f"{task}-{seed}"
+    started = time.process_time()
+    train(replace(default_run(task, FAST), seed=seed), run)
+    if not (run / CPU).exists():
+        replace_file(run / CPU, f"{time.process_time() - started:.1f}\n")
+    return run
+
+
+def fly(task: str, policy: str | Path, level: str, episodes: int, seed: int) -> Estimate:
+    """Estimate the safe success of a policy at a difficulty, in the default dynamics."""
+    options = evaluation_options(task) if task in shipped_tasks() else {}
+    result = evaluate(task, policy, episodes, seed, **{**options, "difficulty": level})
+    return result.estimates()["safe_success"]
+
+
+def evaluation_options(task: str) -> dict[str, object]:
+    """Return the options of evaluations which a policy of the package needs, such as a horizon."""
+    return dict(RunConfig.read(SHIPPED / task / CONFIG).evaluation)
+
+
+def decide(task: str, policy: str | Path, episodes: int) -> float:
+    """Return the mean safe success of a policy in the deciding levels and episodes."""
+    flown = [fly(task, policy, level, episodes, DECIDING_SEED).mean for level in DECIDING]
+    return sum(flown) / len(flown)
+
+
+def ship_best(task: str, runs: Sequence[Path], episodes: int) -> bool:
+    """Put the best run into the package if it is better than `stay` and not worse than the present.
 
     Args:
-        run: Folder of the run.
-        episodes: How many to fly.
+        task: Name of the task.
+        runs: Folders of finished runs, one for each seed.
+        episodes: Number of episodes at each deciding level.
 
     Returns:
-        The mean return.
-
-    Raises:
-        SystemExit: The training is not finished.
+        True if the package has the best run now.
     """
-    config = RunConfig.read(run / CONFIG)
-    with (run / "curve.csv").open(newline="") as file:
-        last = list(csv.DictReader(file))[-1]
-    if int(last["steps"]) < config.steps:
-        raise SystemExit(f"{run} is not finished: train it on first")
-    result = evaluate(config.task, run, episodes, SEED, **config.evaluated)
-    return result.estimates()["return"].mean
-
-
-def swarm_outcome(run: Path, episodes: int) -> float:
-    """Evaluate a policy in `CASES`: mean of success less conflict."""
-    flown = [evaluate(task, run, episodes, SEED, num_drones=n).estimates() for task, n in CASES]
-    return sum(found["success"].mean - found["conflict"].mean for found in flown) / len(CASES)
-
-
-def find_runs(folder: Path, task: str) -> dict[int, Path]:
-    """Find the runs of a task by their seeds, and check that they have the package's settings."""
-    runs = {int(run.name): run for run in (folder / "runs" / task).glob("[0-9]*")}
-    if not runs:
-        raise SystemExit(f"{folder} holds no run of {task}: train all first")
-    config = RunConfig.read(SHIPPED / task / CONFIG)
-    for seed, run in runs.items():
-        if RunConfig.read(run / CONFIG).text() != dataclasses.replace(config, seed=seed).text():
-            raise SystemExit(f"{run} is of other settings than the package's: train it again")
-    return runs
-
-
-def ship(run: Path, seed: int, place: Path) -> None:
-    """Copy what a run learned, and what it began with, and note its seed."""
+    found = [decide(task, run, episodes) for run in runs]
+    best = max(range(len(runs)), key=found.__getitem__)
+    others = {"stay": decide(task, "stay", episodes)}
+    if task in shipped_tasks():
+        others["the policy in the package"] = decide(task, "trained", episodes)
+    listed = ", ".join(f"{one:.3f}" for one in found)
+    print(f"{task}: safe success {listed}; {', '.join(f'{k} {v:.3f}' for k, v in others.items())}")
+    if found[best] <= others.pop("stay") or any(found[best] < one for one in others.values()):
+        print(f"{task}: not put into the package")
+        return False
+    place = SHIPPED / task
     for name in (POLICY, f"{CHECKPOINTS}/000/{POLICY}"):
         (place / name).parent.mkdir(parents=True, exist_ok=True)
-        shutil.copyfile(run / name, place / name)
-    # Only the line of the seed changes, so that comments in the file stay.
-    settings = (place / CONFIG).read_text()
-    changed = re.sub(r"^seed: \d+$", f"seed: {seed}", settings, flags=re.MULTILINE)
-    (place / CONFIG).write_text(changed)
+        shutil.copyfile(runs[best] / name, place / name)
+    seeds = [RunConfig.read(run / CONFIG).seed for run in runs]
+    times = ", ".join(f"{float((run / CPU).read_text()):.0f}" for run in runs)
+    versions, settings = (runs[best] / CONFIG).read_text().split("\n", 1)
+    choice = f"# Best of seeds {', '.join(map(str, seeds))}: {listed}; CPU-s {times}"
+    replace_file(place / CONFIG, f"{versions}\n{choice}\n{settings}")
+    size = (place / POLICY).stat().st_size / 1e3
+    print(f"{task}: seed {seeds[best]} is in the package, {size:.0f} kB")
+    return True
+
+
+def settings_row(task: str) -> str:
+    """Return the row of the table of settings for a policy in the package."""
+    path = SHIPPED / task / CONFIG
+    config, choice = RunConfig.read(path), CHOICE.search(path.read_text())
+    drawn = [
+        f"{name} {config.options[name]}"
+        for name in ("difficulty", "num_drones", "dynamics", "action")
+        if name in config.options
+    ]
+    observed = config.options.get("observation", find_task(task).observation)
+    named = [str(getattr(one, "__name__", one)) for one in observed]
+    cells = (
+        f"`{task}`",
+        f"`{config.algo}`",
+        f"{config.steps / 1e6:g} million",
+        ", ".join(drawn) or "defaults",
+        ", ".join(named),
+        choice[1] if choice else f"seed {config.seed}",
+    )
+    return line(cells)
+
+
+def score_rows(task: str, levels: Iterable[str], episodes: int) -> list[str]:
+    """Fly the policy of the package, `stay` and the baseline; return a row for each level."""
+    baseline = find_task(task).baseline
+    mark = " \\*" if find_policy(baseline, task).reads_swarm else ""
+    rows = []
+    for level in levels:
+        flown = [
+            show(fly(task, policy, level, episodes, TABLE_SEED))
+            for policy in ("trained", "stay", baseline)
+        ]
+        flown[-1] = f"{flown[-1]} `{baseline}`{mark}"
+        rows.append(line((f"`{task}`", level, *flown, str(episodes))))
+        print(rows[-1], flush=True)
+    return rows
+
+
+def show(found: Estimate) -> str:
+    """Format an estimate with its interval."""
+    return f"{found.mean:.2f} [{found.low:.2f}, {found.high:.2f}]"
+
+
+def line(cells: Sequence[str]) -> str:
+    """Format a row of a table."""
+    return f"| {' | '.join(cells)} |"
+
+
+def write_page(rows: Sequence[str], page: Path) -> None:
+    """Write the page: settings of all policies in the package, new rows, and rows of other tasks.
+
+    Args:
+        rows: New rows of scores.
+        page: Path of the page.
+    """
+    old = page.read_text().splitlines() if page.exists() else []
+    levels = {f"| {level} |" for level in LEVELS}
+    known = {row_key(row): row for row in old if any(level in row for level in levels)}
+    known |= {row_key(row): row for row in rows}
+    kept = [known[key] for key in sorted(known) if key[0].strip("`") in shipped_tasks()]
+    text = "\n".join(
+        [
+            INTRODUCTION,
+            *(line(SETTINGS), "|---" * len(SETTINGS) + "|"),
+            *(settings_row(task) for task in shipped_tasks()),
+            "",
+            "## Safe success",
+            "",
+            "Fraction of drones which succeed without conflict or collision, with its 95 %",
+            "confidence interval, in the default dynamics of the task. The episodes have seeds from",
+            f"{TABLE_SEED:,} on. Baselines marked \\* read the true state.",
+            "",
+            *(line(SCORES), "|---" * len(SCORES) + "|"),
+            *kept,
+        ]
+    )
+    replace_file(page, f"{text}\n")
+
+
+def row_key(row: str) -> tuple[str, int]:
+    """Return task and level of a row of scores."""
+    task, level = (cell.strip() for cell in row.split("|")[1:3])
+    return task, LEVELS.index(level)
 
 
 def main() -> None:
-    """Ship the best run of each task."""
+    """Train, choose, ship and tabulate the tasks of the command line."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
+    parser.add_argument("tasks", nargs="+", metavar="TASK")
+    parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
+    parser.add_argument("--episodes", type=int, default=50, help="of each row (default: 50)")
+    parser.add_argument("--levels", nargs="+", choices=LEVELS, default=LEVELS)
+    parser.add_argument("--table", action="store_true", help="train nothing, only fly")
     parser.add_argument(
-        "folder", type=Path, nargs="?", help="folder of `bulletuav train --all --out`"
+        "--out", type=Path, default=Path("training/shipped"), help="folder of the runs"
     )
-    parser.add_argument(
-        "--swarm", type=Path, nargs="+", help="folders of `examples/fast_ppo.py swarm`"
-    )
-    parser.add_argument(
-        "--episodes", type=int, default=200, help="episodes of each run (default: 200)"
-    )
-    arguments = parser.parse_args()
-    if arguments.swarm:
-        outcomes = {run: swarm_outcome(run, arguments.episodes) for run in arguments.swarm}
-        best = max(outcomes, key=outcomes.__getitem__)
-        for task in SWARM:
-            place_best(task, best, RunConfig.read(best / CONFIG).seed, outcomes.values())
-    for task in sorted({*shipped_tasks()} - {*SWARM}) if arguments.folder else ():
-        runs = find_runs(arguments.folder, task)
-        returns = {seed: outcome(run, arguments.episodes) for seed, run in sorted(runs.items())}
-        seed = max(returns, key=returns.__getitem__)
-        place_best(task, runs[seed], seed, returns.values())
-
-
-def place_best(task: str, run: Path, seed: int, outcomes: Iterable[float]) -> None:
-    """Put a run into the package, and tell what decided."""
-    place = SHIPPED / task
-    ship(run, seed, place)
-    told = ", ".join(f"{value:.2f}" for value in outcomes)
-    size = (place / POLICY).stat().st_size / 1e3
-    print(f"{task}: seed {seed} (outcomes {told}), {size:.0f} kB")
+    given = parser.parse_args()
+    for task in given.tasks:
+        if not given.table:
+            runs = [train_seed(task, seed, given.out) for seed in given.seeds]
+            ship_best(task, runs, given.episodes)
+        if task in shipped_tasks():
+            write_page(score_rows(task, given.levels, given.episodes), PAGE)
 
 
 if __name__ == "__main__":

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from bulletuav.control.actions import ActionNames
+from bulletuav.control.actions import ActionNames, action_names
 from bulletuav.envs.curriculum import Curriculum, check_stages
 from bulletuav.envs.env_spec import MAX_WORLDS
 from bulletuav.envs.options import EnvOptions
@@ -70,6 +70,15 @@ INTERFACE = (
     "frame_stack",
 )
 """Options that determine observations and actions of a policy; fixed wherever it flies"""
+OBSERVED = (
+    "observation",
+    "normalise",
+    "num_beams",
+    "max_range",
+    "lidar_elevations",
+    "lidar_frame",
+)
+"""Options of `INTERFACE` that change what the numbers of an observation mean"""
 SCENE = ("num_drones", "airframe", "difficulty", "preset")
 """Options, besides `INTERFACE`, that evaluations inherit from training"""
 LIMITS = {
@@ -300,6 +309,35 @@ class RunConfig:
             if name in given or value != getattr(usual, name)
         }
 
+    def require_observed(self, task: str, options: EnvOptions) -> None:
+        """Check that an environment has the observations of the training.
+
+        Networks for numbers of other observations would return actions without sense. The number of
+        neighbours may differ, as far as the network accepts it.
+
+        Args:
+            task: Name of the task to fly.
+            options: Options of the environment.
+
+        Raises:
+            ValueError: If an option of `OBSERVED` differs; the message names the remedy.
+        """
+        own, named = self._resolved, self.interface
+        for name in OBSERVED:
+            # Another task has defaults of its own, and fits if the network does
+            if task != self.task and name not in named:
+                continue
+            given, learned = getattr(options, name), getattr(own, name)
+            # The same block of a user's module may be named or be an object
+            if given != learned and not (_has_module(given) or _has_module(learned)):
+                raise ValueError(
+                    f"{name} is {shown(plain_value(given))}, and it was trained for task "
+                    f"{self.task!r} with {shown(plain_value(learned))} and "
+                    f"{' or '.join(map(str, action_names(self.action)))} actions: leave {name} "
+                    f"out, or train another policy, by bulletuav train {task} --algo {FAST} "
+                    f"--set {name}=VALUE"
+                )
+
     @property
     def action(self) -> ActionNames:
         """Action type of the policy; or of each drone, or by team."""
@@ -377,11 +415,13 @@ def shipped(task: str) -> Path:
         task: Name of the task.
 
     Raises:
-        ValueError: If there is no run for the task; the message lists the tasks that have one.
+        ValueError: If there is no run for the task; the message lists the tasks that have one, and
+            the command that trains one.
     """
     if task not in shipped_tasks():
         raise ValueError(
-            f"the package has no policy for task {task!r}, only for {', '.join(shipped_tasks())}"
+            f"the package has no policy for task {task!r}, only for {', '.join(shipped_tasks())}: "
+            f"train one by bulletuav train {task} --algo {FAST}, and fly its folder"
         )
     return SHIPPED / task
 
@@ -400,6 +440,15 @@ def _require_version(path: Path, values: Mapping[str, Any]) -> None:
     raise ValueError(
         f"{path} has {found}, and version: {VERSION} is needed: "
         f"train again, or use the version of bulletuav that wrote the file"
+    )
+
+
+def _has_module(value: Any) -> bool:
+    """Return True if blocks of an observation are objects, or names of a user's module."""
+    if isinstance(value, Mapping):
+        return any(_has_module(one) for one in value.values())
+    return isinstance(value, tuple) and any(
+        not isinstance(one, str | float) or ":" in str(one) for one in value
     )
 
 

@@ -102,6 +102,7 @@ class Trained(SharedPolicy):
             self._learned = make_action(learned[0], context)
         self._masks = aviary.worlds.make_masks(self._learned) if config.action_masks else None
         try:
+            config.require_observed(aviary.task.name, aviary.options)
             self._choose_rows = _network(aviary, config, weights, self._learned)
         except ValueError as error:
             raise ValueError(

@@ -140,13 +140,114 @@ OWN: dict[str, dict[str, Any]] = {
     },
 }
 """Settings of single tasks, in addition to those of their kind"""
+FAST_FLIGHT: dict[str, Any] = {
+    "worlds": 32,
+    "evaluations": 4,
+    "episodes": 10,
+    "options": {"num_neighbours": 4},
+    "model": {"batch_size": 1024, "n_epochs": 3, "learning_rate": [2e-3, 1e-5]},
+}
+"""Settings of runs with the algorithm `FAST` in flights of several drones to goals"""
+WIDE = 6.0
+"""Separation that training asks for, m: policies that keep it seldom fall below the task's 5 m"""
+FAST_SERVICE: dict[str, Any] = {
+    "steps": 400_000,
+    "evaluations": 2,
+    "options": {
+        # The network does not depend on the numbers of drones and users
+        "observation": ["room", "contribution_ahead", "all_neighbours", "targets"],
+        "difficulty": "medium",
+        # Cities that no evaluation uses
+        "num_layouts": 16,
+        "city_seed": 77,
+    },
+    "model": {
+        "features": "swarm",
+        "batch_size": 800,
+        "learning_rate": [2e-3, 1e-5],
+        "policy_kwargs": {
+            "net_arch": [64, 64],
+            "log_std_init": -0.7,
+            "features_extractor_kwargs": {"size": 16},
+        },
+    },
+}
+"""Settings of runs with the algorithm `FAST` in tasks of service to users"""
 FAST_OWN: dict[str, dict[str, Any]] = {
-    "crossing": {
-        "steps": 650_000,
-        "worlds": 32,
-        # Policies that keep 6 m seldom fall below the separation of the task, 5 m
-        "options": {"num_neighbours": 4, "d_safe": 6.0},
-        "model": {"batch_size": 1024, "n_epochs": 3, "learning_rate": [2e-3, 1e-5]},
+    "converge": {"options": {"difficulty": "medium", "num_drones": [4, 12], "d_safe": WIDE}},
+    "crossing": {"steps": 650_000, "options": {"d_safe": WIDE}},
+    "follow": {
+        "steps": 700_000,
+        "worlds": 64,
+        "evaluations": 4,
+        "episodes": 10,
+        "options": {
+            # Policies of point_mass swing around their stations in other dynamics
+            "dynamics": "rigid_body",
+            "observation": ["goal_offset", "velocity", "goal_velocity"],
+            "max_distance": 15.0,
+            "weights": {"alive": 0.6, "holding": 0.3, "distance": -0.05, "speed": -0.02},
+        },
+        "model": {
+            "n_steps": 32,
+            "batch_size": 512,
+            "n_epochs": 4,
+            "learning_rate": [3e-3, 1e-5],
+            "gamma": 0.97,
+            "policy_kwargs": {
+                "net_arch": [32, 32],
+                "log_std_init": -1.5,
+                "features_extractor_kwargs": {"scale": 3.0},
+            },
+        },
+    },
+    "formation": {
+        "steps": 1_200_000,
+        "options": {"difficulty": "medium", "d_safe": WIDE},
+    },
+    "free_flight": {"options": {"difficulty": "medium", "num_drones": [2, 8], "d_safe": WIDE}},
+    "lidar_navigation": {
+        "steps": 2_000_000,
+        "options": {
+            "observation": ["velocity", "goal", "battery", "room", "lidar"],
+            "num_drones": [3, 8],
+            "difficulty": "medium",
+            "dynamics": "rigid_body",
+            # Cities that no evaluation uses
+            "num_layouts": 16,
+            "city_seed": 77,
+            # Those of examples/streets.py
+            "weights": {
+                "progress": 0.1,
+                "goal": 3.0,
+                "time": -0.01,
+                "energy": -0.0002,
+                "collision": -4.0,
+                "conflict": -4.0,
+                "out_of_bounds": -1.0,
+                "warning": -0.1,
+                "proximity": -0.02,
+            },
+        },
+    },
+    "navigation": {
+        "worlds": 64,
+        "options": {"difficulty": "medium", "num_drones": [3, 5], "num_neighbours": 2},
+    },
+    "obstacles": {"steps": 1_000_000, "options": {"difficulty": "medium", "num_drones": [4, 12]}},
+    "pursuit": {
+        "steps": 1_000_000,
+        "options": {
+            "difficulty": "medium",
+            "num_drones": 6,
+            "d_safe": 5.5,
+            "weights": {"lap": 20.0},
+        },
+        "model": {
+            "n_epochs": 4,
+            "gamma": 0.985,
+            "policy_kwargs": {"net_arch": [64, 64], "log_std_init": -1.5},
+        },
     },
     "hover": {
         "steps": 280_000,
@@ -172,8 +273,73 @@ FAST_OWN: dict[str, dict[str, Any]] = {
             },
         },
     },
+    "default": {
+        "steps": 3_000_000,
+        "evaluations": 3,
+        "episodes": 10,
+        "options": {
+            "difficulty": "medium",
+            # As fast as `point_mass`, and near the default dynamics
+            "dynamics": "rigid_body",
+            # Cities that no evaluation uses
+            "num_layouts": 16,
+            "city_seed": 77,
+        },
+    },
+    "interception": {
+        "evaluations": 2,
+        "worlds": 64,
+        "staggered": True,
+        "options": {
+            "dynamics": "rigid_body",
+            "observation": ["velocity", "target_track", "room", "lidar"],
+        },
+        "model": {"n_steps": 64, "gamma": 0.985},
+    },
+    "mec_advanced": FAST_SERVICE,
+    "mobile_users": FAST_SERVICE,
+    "pursuit_evasion": {"steps": 1_500_000, "evaluations": 2, "episodes": 10},
+    "race": {
+        "steps": 8_000_000,
+        "evaluations": 4,
+        "options": {
+            "dynamics": "rigid_body",
+            "num_neighbours": 3,
+            # A contact ends the flight; if that cost the remaining time, too, drones would stay
+            "contact_ends": "drone",
+            "weights": {"time": 0.0, "collision": -1.0, "conflict": -8.0},
+        },
+        # A drone that flies through gates before it meets others is not stopped by conflicts
+        "stages": [{"num_drones": 1}, {}],
+        "curriculum": {"up": 0.5, "down": 0.0, "window": 200},
+        "model": {
+            # Untrained features are small, so that others do not disturb a drone at first
+            "features": "swarm",
+            "policy_kwargs": {
+                "net_arch": [64, 64],
+                "log_std_init": -1.5,
+                "features_extractor_kwargs": {"size": 16},
+            },
+        },
+    },
+    "search": {
+        "steps": 1_500_000,
+        "evaluations": 2,
+        "worlds": 64,
+        "staggered": True,
+        "options": {
+            "dynamics": "rigid_body",
+            "observation": ["velocity", "clue_offset", "sighting", "searched_cells", "lidar"],
+        },
+        # Drones with more noise do not hover
+        "model": {
+            "n_steps": 64,
+            "gamma": 0.985,
+            "policy_kwargs": {"net_arch": [64, 64], "log_std_init": -1.6},
+        },
+    },
 }
-"""Settings of single tasks with the algorithm `FAST`, in addition to those with `ppo`"""
+"""Settings of single tasks with the algorithm `FAST`, in addition to those of `FAST_FLIGHT`"""
 ONE_FOR_ALL: dict[str, Any] = {
     "steps": 20_000_000,
     "worlds": 4,
@@ -229,7 +395,7 @@ def default_run(task: str, algo: str = "ppo") -> RunConfig:
     Args:
         task: Name of the task.
         algo: Algorithm, "ppo", `FOUNDATION`, or `FAST`, whose settings are those of "ppo", replaced
-            by `FAST_OWN`.
+            by `FAST_FLIGHT` in goal flights, and by `FAST_OWN`.
 
     Raises:
         ValueError: If there is no such task.
@@ -239,6 +405,8 @@ def default_run(task: str, algo: str = "ppo") -> RunConfig:
         return RunConfig(task, algo, **ONE_FOR_ALL)
     if algo == FAST:
         run = dataclasses.replace(default_run(task), algo=FAST)
+        if issubclass(find_task(task), GoalFlight):
+            run = _replace_settings(run, FAST_FLIGHT)
         return _replace_settings(run, FAST_OWN.get(task, {}))
     kind = find_task(task)
     options: dict[str, Any] = {"reward": "training"}
@@ -251,7 +419,7 @@ def default_run(task: str, algo: str = "ppo") -> RunConfig:
         # It is fast, and policies that learn in it fly in dynamics with rotors, too
         options["dynamics"] = "point_mass"
         return _with_own(RunConfig(task, options=options, **GOAL_FLIGHT))
-    if kind.name in shipped_tasks() and kind.name not in OWN:
+    if kind.name in shipped_tasks() and kind.name not in OWN and shipped_run(task).algo != FAST:
         known = shipped_run(task)
         options = {name: value for name, value in known.options.items() if name not in SCENE}
         return dataclasses.replace(known, options=options, evaluation={})

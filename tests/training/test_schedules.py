@@ -14,8 +14,10 @@ from bulletuav.tasks import find_task, list_tasks
 from bulletuav.tasks.default import Default
 from bulletuav.tasks.goal_flight import GoalFlight
 from bulletuav.tasks.user_service import UserService
+from bulletuav.training import schedules
 from bulletuav.training.models import make_model
 from bulletuav.training.schedules import (
+    FAST_FLIGHT,
     FAST_OWN,
     GOAL_FLIGHT,
     OWN,
@@ -139,16 +141,29 @@ def test_crossing_is_learned_within_the_default_budget(tmp_path):
 @pytest.mark.parametrize("task", FAST_OWN)
 def test_fast_settings_replace_those_of_ppo(task, tmp_path):
     run, usual, own = default_run(task, FAST), default_run(task), FAST_OWN[task]
+    flight = FAST_FLIGHT if issubclass(find_task(task), GoalFlight) else {}
     assert run.algo == FAST
-    assert run.steps == own["steps"] < usual.steps
-    assert run.options.items() >= {**usual.options, **own["options"]}.items()
-    assert run.model.items() >= {**usual.model, **own["model"]}.items()
+    for name in ("steps", "worlds", "evaluations"):
+        assert getattr(run, name) == {**vars(usual), **flight, **own}[name]
+    for name in ("options", "model"):
+        layers = (getattr(usual, name), flight.get(name, {}), own.get(name, {}))
+        assert getattr(run, name) == {**layers[0], **layers[1], **layers[2]}
     check_algorithm(run)
     (tmp_path / "run.yaml").write_text(run.text())
     assert RunConfig.read(tmp_path / "run.yaml").text() == run.text()
+    # The environment accepts the options
+    EnvSpec(task, 1, {**run.options, **run.stages[-1]})
 
 
-def test_fast_settings_of_other_tasks_are_those_of_ppo():
-    run = default_run("converge", FAST)
-    assert dataclasses.replace(run, algo="ppo") == default_run("converge")
+def test_fast_settings_of_other_tasks_are_those_of_ppo(monkeypatch):
+    monkeypatch.setattr(schedules, "FAST_OWN", {})
+    run = default_run("follow", FAST)
+    assert dataclasses.replace(run, algo="ppo") == default_run("follow")
     check_algorithm(run)
+
+
+def test_shipped_runs_of_another_algorithm_are_no_defaults_of_ppo(monkeypatch):
+    known = dataclasses.replace(shipped_run("mec"), algo=FAST, model={})
+    monkeypatch.setattr(schedules, "shipped_run", lambda task: known)
+    assert default_run("mec").algo == "ppo"
+    assert default_run("mec").model == {**SERVICE["model"]}
