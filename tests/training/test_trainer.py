@@ -1,7 +1,6 @@
 import contextlib
 import csv
 import dataclasses
-import importlib.util
 import json
 import math
 import os
@@ -570,58 +569,6 @@ def test_a_configuration_is_the_same_after_a_file(tmp_path):
     )
     (tmp_path / "run.yaml").write_text(told.text())
     assert RunConfig.read(tmp_path / "run.yaml").text() == told.text()
-
-
-def test_the_best_run_is_shipped_without_what_only_training_needs(
-    run, tmp_path, monkeypatch, capsys
-):
-    spec = importlib.util.spec_from_file_location(
-        "ship", Path(__file__).parents[2] / "benchmarks" / "ship.py"
-    )
-    ship = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(ship)
-    package, learned = tmp_path / "trained", tmp_path / "learned" / "runs" / "converge"
-    (package / "converge").mkdir(parents=True)
-    (package / "converge" / "run.yaml").write_text(f"# ours\n{config().text()}")
-    for seed, name in (("0", FIRST), ("1", "policy.safetensors")):
-        shutil.copytree(run[0], learned / seed)
-        (learned / seed / "run.yaml").write_text(config(seed=int(seed)).text())
-        shutil.copy(run[0] / name, learned / seed / "policy.safetensors")
-    outcomes = {seed: ship.outcome(learned / seed, 2) for seed in ("0", "1")}
-    assert outcomes["0"] != outcomes["1"]
-    best = max(outcomes, key=outcomes.__getitem__)
-    monkeypatch.setattr(ship, "SHIPPED", package)
-    monkeypatch.setattr(ship, "shipped_tasks", lambda: ["converge"])
-    monkeypatch.setattr(ship, "SWARM", ())
-    monkeypatch.setattr("sys.argv", ["ship.py", str(tmp_path / "learned"), "--episodes", "2"])
-    ship.main()
-    assert (
-        f"converge: seed {best} (outcomes {outcomes['0']:.2f}, {outcomes['1']:.2f})"
-        in capsys.readouterr().out
-    )
-    assert (package / "converge" / "run.yaml").read_text().startswith("# ours\n")
-    assert RunConfig.read(package / "converge" / "run.yaml").seed == int(best)
-    np.testing.assert_array_equal(weights(package / "converge"), weights(learned / best))
-    np.testing.assert_array_equal(
-        weights(package / "converge", FIRST), weights(learned / best, FIRST)
-    )
-    assert {path.name for path in package.rglob("*") if path.is_file()} == {
-        "run.yaml",
-        "policy.safetensors",
-    }
-    # Of swarms, the one that does better in the cases that decide.
-    monkeypatch.setattr(ship, "SWARM", ("converge",))
-    monkeypatch.setattr(ship, "swarm_outcome", lambda run, episodes: -int(run.name))
-    swarms = [str(learned / seed) for seed in ("1", "0")]
-    monkeypatch.setattr("sys.argv", ["ship.py", "--swarm", *swarms])
-    ship.main()
-    assert "converge: seed 0 (outcomes -1.00, 0.00)" in capsys.readouterr().out
-    np.testing.assert_array_equal(weights(package / "converge"), weights(learned / "0"))
-    monkeypatch.setattr(ship, "SWARM", ())
-    monkeypatch.setattr("sys.argv", ["ship.py", str(tmp_path / "learned"), "--episodes", "2"])
-    (learned / best / "run.yaml").write_text(config(seed=int(best), steps=7).text())
-    with pytest.raises(SystemExit, match="other settings"):
-        ship.main()
 
 
 def test_features_of_a_swarm_are_learned_and_fly_among_any_number(tmp_path):
