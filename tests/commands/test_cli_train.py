@@ -359,10 +359,6 @@ def test_a_shipped_policy_flies_its_task_without_what_it_was_trained_with(
             ["evaluate", "crossing", "--policy", "trained", "--action", "attitude"],
             "supports velocity actions, not",
         ),
-        (
-            ["fly", "pursuit", "--policy", "trained"],
-            "the package has no policy for task 'pursuit'",
-        ),
     ],
 )
 def test_bad_input_ends_in_one_line(arguments, said, capsys, tmp_path, monkeypatch):

@@ -1,5 +1,7 @@
 """Trained policies, flown by NumPy from numbers in a file."""
 
+import contextlib
+
 import numpy as np
 import pytest
 from gymnasium.spaces import Box
@@ -7,10 +9,12 @@ from safetensors.numpy import save_file
 
 import bulletuav
 from bulletuav.policies import find_policy
+from bulletuav.policies import run as run_module
 from bulletuav.policies.features import UserFeatures, log_path_gain, symlog
 from bulletuav.policies.neural_network import Network, is_plain, read_weights
 from bulletuav.policies.run import SHIPPED, RunConfig, shipped_tasks
 from bulletuav.policies.trained import Trained
+from bulletuav.registry import find
 
 CALM = {
     "dynamics": "single_integrator",
@@ -197,3 +201,58 @@ def test_a_damaged_policy_is_refused(change, said, tmp_path):
     aviary.close()
     with pytest.raises(FileNotFoundError, match="no policy"):
         read_weights(tmp_path / "none.safetensors")
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"observation": ["velocity", "goal_offset", "intruders"]}, "observation is"),
+        ({"normalise": True}, "normalise is True"),
+        ({"max_range": 30.0}, "max_range is 30.0"),
+    ],
+)
+def test_observations_of_another_meaning_are_refused(options, said):
+    pilot = find_policy("trained", "crossing")
+    aviary = bulletuav.Aviary("crossing", 1, **{**pilot.options, **options})
+    remedy = r"task 'crossing' with .* and velocity actions: leave .* --algo fast_ppo --set"
+    with pytest.raises(ValueError, match=rf"{said}.*{remedy}"):
+        pilot(aviary)
+    aviary.close()
+
+
+def test_a_policy_of_a_swarm_flies_with_other_numbers_of_neighbours_and_in_other_tasks():
+    pilot = find_policy("trained", "crossing")
+    for task, count in (("crossing", 3), ("converge", 6)):
+        options = {**pilot.options, "num_neighbours": count}
+        with contextlib.closing(bulletuav.Aviary(task, 1, **options)) as aviary:
+            policy, observations = pilot(aviary), aviary.reset(seeds=0)
+            assert np.isfinite(policy.act(observations, aviary.swarm)).all()
+
+
+def test_a_block_may_be_an_object_where_the_training_named_it(tmp_path):
+    config = RunConfig("converge", "fast_ppo", options=CALM, model={"features": None})
+    weights = {
+        "mlp_extractor.policy_net.0.weight": np.ones((1, 4), np.float32),
+        "mlp_extractor.policy_net.0.bias": np.zeros(1, np.float32),
+        "action_net.weight": np.ones((3, 1), np.float32),
+        "action_net.bias": np.zeros(3, np.float32),
+        "action.low": np.full(3, -1, np.float32),
+        "action.high": np.ones(3, np.float32),
+    }
+    save_file(weights, tmp_path / "policy.safetensors")
+    block = find("observation", "goal", callable)
+    with contextlib.closing(
+        bulletuav.Aviary("converge", 1, **{**CALM, "observation": [block]})
+    ) as aviary:
+        policy, observations = (
+            Trained(aviary, config, tmp_path / "policy.safetensors"),
+            aviary.reset(seeds=0),
+        )
+        assert policy.act(observations, aviary.swarm).shape == (1, 2, 3)
+
+
+def test_a_task_without_a_policy_names_the_command_that_trains_one(monkeypatch):
+    monkeypatch.setattr(run_module, "shipped_tasks", lambda: ["mec"])
+    command = "only for mec: train one by bulletuav train converge --algo fast_ppo"
+    with pytest.raises(ValueError, match=command):
+        find_policy("trained", "converge")

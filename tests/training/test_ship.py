@@ -88,6 +88,9 @@ def test_the_page_keeps_rows_of_other_tasks(ship, tmp_path, monkeypatch):
     ship.write_page(["| `hover` | hard | 1 | 2 | 3 | 4 |"], page)
     ship.write_page(["| `hover` | easy | 5 | 6 | 7 | 8 |"], page)
     lines = page.read_text().splitlines()
-    assert lines[-2:] == ["| `hover` | easy | 5 | 6 | 7 | 8 |", "| `hover` | hard | 1 | 2 | 3 | 4 |"]
+    assert lines[-2:] == [
+        "| `hover` | easy | 5 | 6 | 7 | 8 |",
+        "| `hover` | hard | 1 | 2 | 3 | 4 |",
+    ]
     assert any("difficulty medium, dynamics rigid_body" in line for line in lines)
     assert max(map(len, lines)) <= 240
