@@ -16,16 +16,18 @@ trains no finished run again.
 
 import argparse
 import re
-import shutil
 import time
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from bulletuav.analysis.evaluation import evaluate
 from bulletuav.analysis.metrics.estimates import Estimate
 from bulletuav.files import replace_file
 from bulletuav.policies import find_policy
+from bulletuav.policies.neural_network import ACTORS, HIGH, LOW, read_weights, write_weights
 from bulletuav.policies.run import (
     CHECKPOINTS,
     CONFIG,
@@ -121,15 +123,26 @@ def ship_best(task: str, runs: Sequence[Path], episodes: int) -> bool:
     place = SHIPPED / task
     for name in (POLICY, f"{CHECKPOINTS}/000/{POLICY}"):
         (place / name).parent.mkdir(parents=True, exist_ok=True)
-        shutil.copyfile(runs[best] / name, place / name)
+        write_weights(actor_weights(runs[best] / name), place / name)
     seeds = [RunConfig.read(run / CONFIG).seed for run in runs]
     times = ", ".join(f"{float((run / CPU).read_text()):.0f}" for run in runs)
-    versions, settings = (runs[best] / CONFIG).read_text().split("\n", 1)
+    version, settings = RunConfig.read(runs[best] / CONFIG).text().split("\n", 1)
     choice = f"# Best of seeds {', '.join(map(str, seeds))}: {listed}; CPU-s {times}"
-    replace_file(place / CONFIG, f"{versions}\n{choice}\n{settings}")
+    replace_file(place / CONFIG, f"{version}\n{choice}\n{settings}")
     size = (place / POLICY).stat().st_size / 1e3
     print(f"{task}: seed {seeds[best]} is in the package, {size:.0f} kB")
     return True
+
+
+def actor_weights(path: Path) -> dict[str, np.ndarray]:
+    """Read the weights of a policy which flight needs, a third of all; none of the critic.
+
+    Args:
+        path: The policy.safetensors of a run or of a checkpoint.
+    """
+    actor = ACTORS[FAST]
+    kept = (*actor.layers, actor.features, LOW, HIGH)
+    return {name: array for name, array in read_weights(path).items() if name.startswith(kept)}
 
 
 def settings_row(task: str) -> str:

@@ -12,7 +12,7 @@ from bulletuav.policies import find_policy
 from bulletuav.policies import run as run_module
 from bulletuav.policies.features import UserFeatures, log_path_gain, symlog
 from bulletuav.policies.neural_network import Network, is_plain, read_weights
-from bulletuav.policies.run import SHIPPED, RunConfig, shipped_tasks
+from bulletuav.policies.run import FAST, SHIPPED, RunConfig, shipped_tasks
 from bulletuav.policies.trained import Trained
 from bulletuav.registry import find
 
@@ -23,6 +23,21 @@ CALM = {
     "horizon": 8,
     "observation": ["goal"],
 }
+
+
+def with_critic(weights):
+    """Add what stable-baselines3 has besides the actor: copies of its features, and a critic."""
+    whole = {name.replace("policy_net", "value_net"): array for name, array in weights.items()}
+    whole |= {
+        f"{kind}_{name}": array
+        for name, array in weights.items()
+        for kind in ("pi", "vf")
+        if name.startswith("features_extractor")
+    }
+    whole["value_net.weight"] = np.zeros((1, weights["action_net.weight"].shape[1]), np.float32)
+    whole["value_net.bias"] = np.zeros(1, np.float32)
+    whole["log_std"] = np.zeros_like(weights["action_net.bias"])
+    return weights | whole
 
 
 @pytest.mark.parametrize("task", shipped_tasks())
@@ -41,7 +56,12 @@ def test_numpy_flies_as_pytorch_learned(task):
         bulletuav.batch_env(task, 1, **pilot.options).action_space,
     )
     about = (aviary.num_drones, aviary.observer.labels)
-    chosen = policy_network(config.algo, config.settings, space, action, *about, weights)
+    # stable-baselines3 has no FAST, whose networks are those of its PPO
+    algo = "ppo" if config.algo == FAST else config.algo
+    settings = {name: config.settings[name] for name in ("features", "policy_kwargs")}
+    if config.algo == FAST:
+        weights = with_critic(weights)
+    chosen = policy_network(algo, settings, space, action, *about, weights)
     learned = chosen.__closure__[0].cell_contents.double()
     for _ in range(20):
         actions = policy.act(observations, aviary.swarm)
