@@ -61,7 +61,14 @@ INTRODUCTION = """\
 `python benchmarks/ship.py TASK`, which trains a task by `bulletuav train TASK --algo fast_ppo` with
 several seeds, and chooses the best one in other episodes: mean safe success at easy and medium.
 """
-SETTINGS = ("task", "algorithm", "decisions", "trained with", "observes", "seeds")
+SETTINGS = (
+    "task",
+    "algorithm",
+    "decisions",
+    "trained with",
+    "observes",
+    "seeds: safe success; training time",
+)
 SCORES = ("task", "difficulty", "`trained`", "`stay`", "baseline", "episodes")
 
 
