@@ -20,6 +20,7 @@ import time
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -89,7 +90,7 @@ def fly(task: str, policy: str | Path, level: str, episodes: int, seed: int) -> 
     return result.estimates()["safe_success"]
 
 
-def evaluation_options(task: str) -> dict[str, object]:
+def evaluation_options(task: str) -> dict[str, Any]:
     """Return the options of evaluations which a policy of the package needs, such as a horizon."""
     return dict(RunConfig.read(SHIPPED / task / CONFIG).evaluation)
 
