@@ -210,14 +210,3 @@ def test_goal_and_upward_direction_in_body_axes():
     np.testing.assert_allclose(to_world.apply(row[:3]), row[6:9], atol=1e-5)
     np.testing.assert_allclose(to_world.apply(row[3:6]), (0, 0, 1), atol=1e-5)
     aviary.close()
-
-
-def test_velocity_of_the_goal_relative_to_the_drone():
-    blocks = ("goal_relative_velocity", "goal_velocity", "velocity")
-    aviary = bulletuav.Aviary("follow", dynamics="point_mass", observation=blocks)
-    aviary.reset(seeds=0)
-    row = aviary.step(np.full((1, 1, 3), 0.3)).observations[0, 0]
-    assert np.linalg.norm(row[3:6]) == pytest.approx(5.0, abs=1e-5)
-    assert np.linalg.norm(row[6:]) > 0.5
-    np.testing.assert_allclose(row[:3], row[3:6] - row[6:], atol=1e-6)
-    aviary.close()

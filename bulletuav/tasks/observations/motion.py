@@ -25,9 +25,8 @@ def _across_arena(name: str, task: Any) -> tuple[Label, ...]:
     return vector_labels(name, "m", -size, size)
 
 
-def _speeds(name: str, task: Any, limits: float = 2.0) -> tuple[Label, ...]:
-    """Return labels of a velocity bounded by a multiple of the speed limit."""
-    bound = np.full(3, limits * task.context.max_speed)
+def _speeds(name: str, task: Any) -> tuple[Label, ...]:
+    bound = np.full(3, 2 * task.context.max_speed)
     return vector_labels(name, "m/s", -bound, bound)
 
 
@@ -103,14 +102,6 @@ def body_up(quaternion: Quat4) -> Vec3:
 def goal_velocity(goal_velocity: Vec3) -> Vec3:
     """Goal velocity, world axes."""
     return goal_velocity
-
-
-@register("observation")
-@block(lambda task: _speeds("goal relative velocity", task, limits=4.0))
-def goal_relative_velocity(goal_velocity: Vec3, known_velocity: Vec3) -> Vec3:
-    """Velocity of the goal relative to the drone, world axes."""
-    x, y, z = known_velocity
-    return (goal_velocity[0] - x, goal_velocity[1] - y, goal_velocity[2] - z)
 
 
 def _goal_labels(task: Any) -> tuple[Label, ...]:
