@@ -167,3 +167,10 @@ def test_shipped_runs_of_another_algorithm_are_no_defaults_of_ppo(monkeypatch):
     monkeypatch.setattr(schedules, "shipped_run", lambda task: known)
     assert default_run("mec").algo == "ppo"
     assert default_run("mec").model == {**SERVICE["model"]}
+
+
+@pytest.mark.parametrize("task", shipped_tasks())
+def test_policies_of_the_package_are_those_of_the_default_settings(task):
+    run = shipped_run(task)
+    if run.algo == FAST:
+        assert run.text() == default_run(task, FAST).text()
