@@ -182,6 +182,14 @@ class Interception(Task[InterceptionConfig]):
         "out_of_bounds": -20.0,
         "time": (time, -0.05),
     }
+    training_weights: ClassVar[Mapping[str, float]] = {
+        "capture": 5.0,
+        "closing": 0.1,
+        "conflict": -1.0,
+        "collision": -2.0,
+        "out_of_bounds": -2.0,
+        "time": -0.005,
+    }
     ends = (evader_captured, collision, leaves_arena)
     success = evader_captured
     baseline = "interceptor"

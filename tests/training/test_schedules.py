@@ -7,8 +7,10 @@ import pytest
 import torch
 from torch import nn
 
+import bulletuav
 from bulletuav.adapters.sb3 import DroneVecEnv
 from bulletuav.envs.env_spec import EnvSpec
+from bulletuav.policies import find_policy
 from bulletuav.policies.run import FAST, RunConfig, shipped_tasks
 from bulletuav.tasks import find_task, list_tasks
 from bulletuav.tasks.default import Default
@@ -31,7 +33,7 @@ from bulletuav.training.trainer import check_algorithm, train
 SWARM = {"dynamics": "single_integrator", "observation": ["goal_offset", "intruders"]}
 FLIGHTS = [name for name in list_tasks() if issubclass(find_task(name), GoalFlight | Default)]
 USER_TASKS = [name for name in list_tasks() if issubclass(find_task(name), UserService)]
-SERVICES = [name for name in USER_TASKS if name not in (*shipped_tasks(), *OWN)]
+SERVICES = [name for name in USER_TASKS if name not in ("mec", *OWN)]
 
 
 @pytest.mark.parametrize("task", list_tasks())
@@ -143,7 +145,7 @@ def test_fast_settings_replace_those_of_ppo(task, tmp_path):
     run, usual, own = default_run(task, FAST), default_run(task), FAST_OWN[task]
     flight = FAST_FLIGHT if issubclass(find_task(task), GoalFlight) else {}
     assert run.algo == FAST
-    for name in ("steps", "worlds", "evaluations"):
+    for name in ("steps", "worlds", "evaluations", "stages"):
         assert getattr(run, name) == {**vars(usual), **flight, **own}[name]
     for name in ("options", "model"):
         layers = (getattr(usual, name), flight.get(name, {}), own.get(name, {}))
@@ -174,3 +176,16 @@ def test_policies_of_the_package_are_those_of_the_default_settings(task):
     run = shipped_run(task)
     if run.algo == FAST:
         assert run.text() == default_run(task, FAST).text()
+
+
+@pytest.mark.parametrize(("drones", "users"), [(2, 7), (5, 30)])
+def test_a_policy_of_services_flies_with_other_numbers_of_drones_and_users(drones, users):
+    pilot = find_policy("trained", "mobile_users")
+    options = {**pilot.options, "num_drones": drones, "num_users": users}
+    aviary = bulletuav.Aviary("mobile_users", 1, **options)
+    policy, observations = pilot(aviary), aviary.reset(seeds=0)
+    actions = policy.act(observations, aviary.swarm)
+    aviary.close()
+    assert actions.shape == (1, drones, 3)
+    assert np.isfinite(actions).all()
+    assert (actions != 0).any(axis=-1).all()
