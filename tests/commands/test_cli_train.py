@@ -285,8 +285,8 @@ def test_a_shipped_policy_flies_its_task_without_what_it_was_trained_with(
     task, tmp_path, capsys, monkeypatch
 ):
     """As after the README's installation."""
-    # A lap takes longer
-    horizon = "400" if task == "pursuit" else "5"
+    # A lap or a race takes longer
+    horizon = {"pursuit": "400", "race": "200"}.get(task, "5")
     absent = ("torch", "stable_baselines3", "tensorboard", "filelock")
     for name in list(sys.modules):
         if name.partition(".")[0] in absent or name.startswith("bulletuav.adapters"):
