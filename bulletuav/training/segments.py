@@ -11,7 +11,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from bulletuav.adapters.slots import DroneSlots
+from bulletuav.adapters.slots import DroneSlots, Info
 from bulletuav.analysis.evaluation import evaluate
 from bulletuav.analysis.metrics import METRICS
 from bulletuav.envs.curriculum import Curriculum
@@ -53,6 +53,19 @@ class Learner(Protocol):
 
     def log(self, values: Mapping[str, float]) -> None:
         """Log values elsewhere, at the present number of steps."""
+
+
+class OwnLearner(Learner, Protocol):
+    """Learner whose loop is `learn_in_segments`."""
+
+    def restore(self, folder: Path) -> None:
+        """Restore a checkpoint."""
+
+    def collect(self, report: Callable[[list[Info]], None]) -> None:
+        """Collect a rollout; `report` is called with the infos of the slots of each decision."""
+
+    def update(self) -> None:
+        """Update the policy on the rollout."""
 
 
 def make_slots(config: RunConfig, kind: type[DroneSlots]) -> Any:
@@ -222,3 +235,35 @@ class Segments:
 def _mean(episodes: list[dict[str, float]], key: str) -> float:
     """Return the mean of a number over episodes; NaN if there are none."""
     return float(np.mean([episode[key] for episode in episodes])) if episodes else np.nan
+
+
+def learn_in_segments(
+    config: RunConfig,
+    env: DroneSlots,
+    learner: OwnLearner,
+    store: Store,
+    progress: Progress,
+    note: Note,
+) -> None:
+    """Train until all steps are done.
+
+    Args:
+        config: Settings of the run.
+        env: The training environment.
+        learner: The learner.
+        store: Storage of the run; if it has rows, the last checkpoint is restored.
+        progress: Called with the number of finished steps.
+        note: Called with a text when episodes end.
+
+    Raises:
+        ValueError: If the checkpoint is damaged.
+    """
+    if store.rows:
+        learner.restore(store.last)
+    segments = Segments(config, env, store, learner, progress, note)
+    while learner.num_steps < config.steps:
+        segments.start_rollout()
+        learner.collect(segments.add_infos)
+        segments.end_rollout()
+        learner.update()
+    segments.end()

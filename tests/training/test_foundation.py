@@ -219,18 +219,13 @@ def test_single_steps_are_those_of_the_policy():
 # --- Runs
 
 
-class NoSegments:
-    def add_infos(self, infos):
-        pass
-
-
 def test_a_rollout_has_whole_episodes_of_new_airframes_with_labels():
     run = config(steps=10**6)
     student = Student(run, make_slots(run, AirframeSlots))
     student.begin_segment(1)
     names = []
     for _ in range(3):
-        student.collect(NoSegments())
+        student.collect()
         names.append(student._env.aviary.options.airframe[0].mass)
     assert len(set(names)) == 3
     assert student.num_steps == 3 * 30 * 10
@@ -251,7 +246,7 @@ def test_rotors_of_spinning_drones_stop():
     student.num_steps = 1000
     student.parameters[:] = 0.0
     gru_arrays(student.parameters, student.sizes)["decoder.bias"][:] = (1, -1, 1, -1)
-    student.collect(NoSegments())
+    student.collect()
     last = student._rows[:10, 2:, 12:]
     spins = np.isclose(last, (1, -1, 1, -1)).all(axis=-1)
     stops = (last == -1.0).all(axis=-1)

@@ -41,7 +41,7 @@ from bulletuav.training.fast.sets import (
     make_sets_work,
 )
 from bulletuav.training.fast.settings import REMEDY, FastSettings, check_fast_settings
-from bulletuav.training.segments import Note, Progress, Segments, make_slots
+from bulletuav.training.segments import Note, Progress, learn_in_segments, make_slots
 from bulletuav.training.store import TRAINING, Store
 
 EXTRACTORS = ("features_extractor", "pi_features_extractor", "vf_features_extractor")
@@ -76,16 +76,7 @@ def learn_fast(
     if mlflow:
         raise ValueError(f"mlflow: {FAST} logs to updates.csv only: leave it out, or {REMEDY}")
     with contextlib.closing(make_slots(config, DroneSlots)) as env:
-        learner = FastPPO(config, env)
-        if store.rows:
-            learner.restore(store.last)
-        segments = Segments(config, env, store, learner, progress, note)
-        while learner.num_steps < config.steps:
-            segments.start_rollout()
-            learner.collect(segments.add_infos)
-            segments.end_rollout()
-            learner.update()
-        segments.end()
+        learn_in_segments(config, env, FastPPO(config, env), store, progress, note)
 
 
 class FastPPO:

@@ -13,13 +13,13 @@ References:
 
 import contextlib
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from bulletuav.adapters.slots import DroneSlots
+from bulletuav.adapters.slots import DroneSlots, Info
 from bulletuav.errors import require_available_memory
 from bulletuav.policies.neural_network import HIGH, LOW, read_weights, write_weights
 from bulletuav.policies.recurrent import LIMIT, NUM_INPUTS, NUM_ROTORS, SCALE
@@ -43,7 +43,7 @@ from bulletuav.training.foundation.teacher import (
     command_teachers,
     teacher_gains,
 )
-from bulletuav.training.segments import Note, Progress, Segments, make_slots
+from bulletuav.training.segments import Note, Progress, learn_in_segments, make_slots
 from bulletuav.training.store import TRAINING, Store
 from bulletuav.vehicle.airframe import Airframe
 
@@ -78,16 +78,7 @@ def learn_foundation(
         raise ValueError(f"mlflow: {FOUNDATION} logs to updates.csv only: leave it out")
     check_foundation_settings(config)
     with contextlib.closing(make_slots(config, AirframeSlots)) as env:
-        learner = Student(config, env)
-        if store.rows:
-            learner.restore(store.last)
-        segments = Segments(config, env, store, learner, progress, note)
-        while learner.num_steps < config.steps:
-            segments.start_rollout()
-            learner.collect(segments)
-            segments.end_rollout()
-            learner.update()
-        segments.end()
+        learn_in_segments(config, env, Student(config, env), store, progress, note)
 
 
 class AirframeSlots(DroneSlots):
@@ -178,8 +169,12 @@ class Student:
         self._rng = np.random.default_rng(seed)
         self._filled = self._next = 0
 
-    def collect(self, segments: Segments) -> None:
-        """Fly one episode of newly drawn airframes in each world, and store it."""
+    def collect(self, report: Callable[[list[Info]], None] = lambda infos: None) -> None:
+        """Fly one episode of newly drawn airframes in each world, and store it.
+
+        Args:
+            report: Called with the infos of the slots after each decision.
+        """
         env, own = self._env, self._settings
         airframes = [draw_airframe(self._rng) for _ in range(own.airframes)]
         hertz = env.aviary.options.decision_hz
@@ -207,7 +202,7 @@ class Student:
             # A world whose drones are all done starts again, which the sequences leave out
             lengths[done & (lengths == self._horizon)] = t + 1
             self.num_steps += env.num_envs
-            segments.add_infos(infos)
+            report(infos)
         self._lengths[here] = lengths
         self._filled = max(self._filled, here.stop)
         self._next = here.stop % len(self._rows)
