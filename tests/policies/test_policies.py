@@ -81,7 +81,7 @@ def test_every_policy_says_what_it_reads():
 def test_policies_are_found_by_their_names():
     known = registry.names("policy")
     assert {"straight", "orca", "planner", "random", "oracle"} <= set(known)
-    assert policy_names() == [*known, "trained", "untrained"]
+    assert policy_names() == [*known, "trained", "untrained", "foundation"]
     assert find_policy("orca").make is find_policy("bulletuav.policies.orca:Orca").make is Orca
     with pytest.raises(ValueError, match=r"unknown policy 'kmean': did you mean 'kmeans'\?"):
         find_policy("kmean")
