@@ -446,6 +446,8 @@ class Task(ABC, Generic[ConfigT]):
             rngs: Random generator of each world.
         """
         for part in self.parts:
+            for function, *arguments in part.memory_calls(frame):
+                function(*arguments)
             part.update_memory(frame, rngs)
 
     def payload_power(self, scene: Scene) -> np.ndarray | float:

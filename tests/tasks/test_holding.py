@@ -6,7 +6,7 @@ import pytest
 import bulletuav
 from bulletuav.policies import find_policy
 from bulletuav.tasks import find_task
-from bulletuav.tasks.parts.holding import count_in_place, count_near
+from bulletuav.tasks.parts.holding import Holding, count_in_place, count_near
 
 POINTS = {"dynamics": "single_integrator", "action": "velocity", "randomization": {}}
 TASKS = ["hover", "follow", "formation"]
@@ -60,6 +60,12 @@ def test_the_fraction_is_an_option(task):
 def test_impossible_fractions_raise(task, fraction):
     with pytest.raises(ValueError, match=f"min_in_place is {fraction:g}: a fraction above 0"):
         made(task, min_in_place=fraction)
+
+
+def test_a_function_instead_of_a_radius_is_refused():
+    context = bulletuav.Aviary("hover", **POINTS).task.context
+    with pytest.raises(ValueError, match="goal_radius is a function: pass it to HoldingWhere"):
+        Holding(0.5, context, lambda frame: frame.landed)
 
 
 def test_only_active_drones_in_place_count():

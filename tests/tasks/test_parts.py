@@ -216,6 +216,25 @@ def test_compiled_calls_of_parts_update_memory_and_write_infos():
         assert not aviary.first_info()["eastward"].any()
 
 
+def test_a_task_of_its_own_update_sees_what_compiled_calls_of_parts_wrote():
+    seen = []
+
+    class Watching(Moving):
+        name = "watching"
+
+        def update_memory(self, frame, rngs):
+            before = frame.scene.memory["total"].copy()
+            super().update_memory(frame, rngs)
+            seen.append(frame.scene.memory["total"] - before)
+
+    with contextlib.closing(bulletuav.Aviary(Watching, **QUICK)) as aviary:
+        aviary.reset(seeds=0)
+        for _ in range(2):
+            aviary.step(np.array([[[0.1, 0.0, 0.0], [0.2, 0.0, 0.0]]]))
+            np.testing.assert_allclose(seen[-1], aviary.swarm.velocity[..., 0])
+    assert len(seen) == 2
+
+
 def test_infos_of_tasks_and_of_compiled_calls_have_different_names():
     def info(self, frame):
         return {**super(Moving, self).info(frame), "eastward": np.zeros(frame.alive.shape)}

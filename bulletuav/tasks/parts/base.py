@@ -65,7 +65,8 @@ class Part:
     def memory_calls(self, frame: Frame) -> Sequence[tuple[Any, ...]]:
         """Return compiled calls that update these arrays after a decision.
 
-        They run after `update_memory` of the task and all parts, and take less time.
+        They run before the part's `update_memory`. In tasks without `update_memory` of their own
+        they take less time, as Python does not call them.
 
         Args:
             frame: The frame of all decisions, whose arrays last, unlike those of `derived`.

@@ -41,12 +41,14 @@ class Holding(Part):
             lands: Whether drones in place also stand on the ground.
 
         Raises:
-            ValueError: If the fraction is not in (0, 1].
+            ValueError: If the fraction is not in (0, 1], or the radius is a function.
         """
         if not 0 < min_in_place <= 1:
             raise ValueError(
                 f"min_in_place is {min_in_place:g}: a fraction above 0 and up to 1 is needed"
             )
+        if callable(goal_radius):
+            raise ValueError("goal_radius is a function: pass it to HoldingWhere instead")
         self._num_drones = context.num_drones
         self._goal_radius, self._lands = goal_radius, lands
         self._period = context.period
