@@ -230,7 +230,8 @@ class Airframe:
     @property
     def max_thrust(self) -> float:
         """Thrust of all rotors at maximum speed, N."""
-        return len(self.rotors) * self.thrust_coefficient * self.max_rotor_speed**2
+        speed = self.max_rotor_speed
+        return len(self.rotors) * self.thrust_coefficient * (speed * speed)
 
     def hover_speed(self, gravity: float = STANDARD_GRAVITY) -> float:
         """Return the rotor speed at which thrust equals weight, rad/s.

@@ -84,7 +84,7 @@ def scaled_constants(
     axial = AXIAL_DAMPING * thrust_coefficient * hover_speed / propeller_radius
     aside = sum(y * y for _, y, _ in rotors)
     along = sum(x * x for x, _, _ in rotors)
-    disc_area = len(rotors) * math.pi * propeller_radius**2
+    disc_area = len(rotors) * math.pi * (propeller_radius * propeller_radius)
     return Scaled(
         ground_effect=(GROUND_EFFECT_REACH * propeller_radius, GROUND_EFFECT_GAIN),
         wake=(WAKE_RADIUS * arm_length(rotors), WAKE_SHARE, WAKE_SPREAD),

@@ -2,6 +2,7 @@
 
 import dataclasses
 import itertools
+import os
 import signal
 import subprocess
 import sys
@@ -497,6 +498,34 @@ def test_a_damaged_checkpoint_is_refused(run, tmp_path):
     last = max(run[0].glob("checkpoints/*"))
     with pytest.raises(ValueError, match="parameters have another size"):
         other.restore(last)
+
+
+UPDATE = """
+from bulletuav.adapters.slots import DroneSlots
+from bulletuav.policies.run import RunConfig
+from bulletuav.training.fast.learner import FastPPO
+from bulletuav.training.segments import make_slots
+
+options = {"dynamics": "single_integrator", "action": "velocity", "horizon": 6}
+model = {"n_steps": 8, "batch_size": 8, "n_epochs": 1, "policy_kwargs": {"net_arch": [4]}}
+run = RunConfig("hover", algo="fast_ppo", steps=16, worlds=2, options=options, model=model)
+learner = FastPPO(run, make_slots(run, DroneSlots))
+learner.begin_segment(5)
+learner.collect()
+learner.update()
+print(*learner.parameters.tolist())
+"""
+
+
+def test_an_update_is_the_same_in_plain_python():
+    def update(**variables):
+        environment = {**os.environ, **variables}
+        command = [sys.executable, "-c", UPDATE]
+        done = subprocess.run(command, capture_output=True, text=True, check=True, env=environment)
+        return np.array(done.stdout.split(), dtype=float)
+
+    # Plain numbers are rounded to single precision in other places
+    np.testing.assert_allclose(update(NUMBA_DISABLE_JIT="1"), update(), rtol=1e-4, atol=1e-6)
 
 
 def test_a_policy_acts_as_the_learner_does(run):

@@ -317,6 +317,8 @@ def test_a_damaged_checkpoint_is_refused(run, tmp_path):
             {"stages": [{"num_drones": 3}], "evaluation": {"num_drones": 1}},
             "num_drones is 3, and foundation draws airframes",
         ),
+        ({"stages": [{}, {"horizon": 40}]}, "horizon is 40 in a stage, and all episodes of"),
+        ({"stages": [{"decision_hz": 60}]}, "decision_hz is 60 in a stage"),
     ],
 )
 def test_settings_that_cannot_be_are_refused(changes, said):
@@ -330,6 +332,7 @@ def test_settings_that_cannot_be_are_refused(changes, said):
         ({"airframe": "racer"}, "airframe is 'racer', and foundation draws airframes"),
         ({"action": "rates"}, "action is 'rates', and foundation commands rotors"),
         ({"observation": ["goal"]}, "observation is .*, and foundation needs"),
+        ({"normalise": True}, "normalise is True, and foundation observes"),
     ],
 )
 def test_options_that_do_not_fit_are_refused(options, said):

@@ -317,7 +317,8 @@ def compute_gradient(
     # Number of standard deviations
     slots, size = rollout.rewards.shape[1], 0 if choices > 0 else rollout.actions.shape[2]
     encoded = rollout.encoded.reshape(-1, rollout.encoded.shape[2])
-    states = rollout.states.reshape(-1, rollout.states.shape[2])
+    worlds = rollout.states.shape[1]
+    states = rollout.states.reshape(len(rollout.states) * worlds, rollout.states.shape[2])
     count, clip = len(chosen), losses.clip
     first_std = len(parameters) - size
     sets, starts, widths = networks.sets, networks.set_starts, networks.set_widths

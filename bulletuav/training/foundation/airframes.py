@@ -76,7 +76,7 @@ def draw_airframe(rng: np.random.Generator) -> Airframe:
     radius = arm * rng.uniform(*PROPELLER)
     max_rotor_speed = _draw_logarithmic(rng, TIP_SPEED) / radius
     weight = mass * STANDARD_GRAVITY
-    thrust = rng.uniform(*THRUST_TO_WEIGHT) * weight / (4 * max_rotor_speed**2)
+    thrust = rng.uniform(*THRUST_TO_WEIGHT) * weight / (4 * max_rotor_speed * max_rotor_speed)
     hover = hover_speed(weight, 4, thrust)
     drag_xy, drag_z = (rng.uniform(*bounds) * mass / (4 * hover) for bounds in (DRAG_XY, DRAG_Z))
     lag = rng.uniform(*LAG)

@@ -181,7 +181,7 @@ class Student:
         gains = np.array([teacher_gains(one, hertz) for one in airframes])
         gains = gains.reshape(len(airframes), NUM_ROTORS, NUM_STATES)
         most = np.array([one.max_rotor_speed for one in airframes])
-        hover = np.array([(one.hover_speed() / one.max_rotor_speed) ** 2 for one in airframes])
+        hover = np.square([one.hover_speed() / one.max_rotor_speed for one in airframes])
         seen = env.replace_airframes(airframes, int(self._rng.integers(2**31)))
         taught = self._rng.random(env.num_envs) >= self.num_steps / (TAUGHT * self._total)
         hidden = np.zeros((env.num_envs, own.hidden_size), np.float32)

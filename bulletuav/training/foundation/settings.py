@@ -13,6 +13,8 @@ ACTION = "rotor"
 """Action of the policy"""
 DRAWN = ("airframe", "num_drones")
 """Options that the algorithm sets itself"""
+CONSTANT = ("decision_hz", "horizon")
+"""Options that must not change during a run"""
 MAX_COUNT = 10**9
 """Maximum of integer settings"""
 MAX_WIDTH = 1024
@@ -75,6 +77,17 @@ def check_foundation_settings(config: RunConfig) -> FoundationSettings:
                 raise ValueError(
                     f"{name} is {shown(options[name])}, and {FOUNDATION} draws airframes: set "
                     f"their number by --model airframes=64, and {name} in evaluations only"
+                )
+        if options.get("normalise"):
+            raise ValueError(
+                f"normalise is True, and {FOUNDATION} observes numbers in their units: leave it out"
+            )
+    for stage in config.stages:
+        for name in CONSTANT:
+            if name in stage:
+                raise ValueError(
+                    f"{name} is {shown(stage[name])} in a stage, and all episodes of {FOUNDATION} "
+                    f"have one length: set {name} in options"
                 )
     if config.action != ACTION:
         raise ValueError(
