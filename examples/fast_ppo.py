@@ -3,8 +3,9 @@
 `collect` flies all worlds by the present policy and estimates how much better than expected each
 action was; `learn` makes better actions more likely. With `--critic state` the critic also sees the
 state of the whole world (MAPPO). Settings are those of `bulletuav train --algo fast_ppo`, which is
-the same algorithm in compiled kernels, and faster. The output folder flies without PyTorch:
-`--policy FOLDER`.
+the same algorithm in compiled kernels, and faster. It learns tasks with vectors and continuous
+actions, in their first stage, with the usual constants of PPO and rewards of each drone's own. The
+output folder flies without PyTorch: `--policy FOLDER`.
 
 Run it:
 
@@ -196,7 +197,7 @@ def main() -> None:
     agent = Agent(swarm_features(worlds.env, config), actions, config, state)
     train(agent, worlds, config)
     save(agent, config, args.out, "fast_ppo")
-    result = bulletuav.evaluate(args.task, args.out, args.episodes, 1000, difficulty="medium")
+    result = bulletuav.evaluate(args.task, args.out, args.episodes, 1000, **config.evaluated)
     for name in ("success", "conflict"):
         found = result.estimates()[name]
         print(f"in bullet: {name} {found.mean:.3f} ({found.low:.3f} to {found.high:.3f})")

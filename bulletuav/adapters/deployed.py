@@ -150,7 +150,8 @@ def _describe(config: RunConfig, action: Action) -> str:
 def _recurrent(config: RunConfig, spec: EnvSpec, weights: Weights) -> Deployed:
     """Return the chain of a recurrent policy, for the airframe of an environment."""
     network, action, observer = RecurrentNetwork(weights), spec.action, spec.observer
-    (airframe,) = spec.options.airframe
+    # All drones have the same one
+    airframe = spec.options.airframe[0]
     to_common, to_own = axes_layers(find_rotor_axes(airframe))
     outputs, decoding = _setpoints(action)
     own = (*_observing(observer, config), to_common, *network.layers(), to_own)

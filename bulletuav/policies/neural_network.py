@@ -54,8 +54,9 @@ class Actor(NamedTuple):
 
 def _tanh(values: np.ndarray) -> np.ndarray:
     # A kernel, as numba compiles elementwise functions of arrays in each process
-    result = np.empty_like(values)
-    _write_tanh(values.reshape(-1), result.reshape(-1))
+    numbers = np.ascontiguousarray(values)
+    result = np.empty_like(numbers)
+    _write_tanh(numbers.reshape(-1), result.reshape(-1))
     return result
 
 

@@ -79,6 +79,13 @@ OBSERVED = (
     "lidar_frame",
 )
 """Options of `INTERFACE` that change what the numbers of an observation mean"""
+RANGED = {
+    "num_beams": ("lidar",),
+    "max_range": ("lidar", "room"),
+    "lidar_elevations": ("lidar",),
+    "lidar_frame": ("lidar",),
+}
+"""Observation blocks that some of these options change"""
 SCENE = ("num_drones", "airframe", "difficulty", "preset")
 """Options, besides `INTERFACE`, that evaluations inherit from training"""
 LIMITS = {
@@ -323,7 +330,11 @@ class RunConfig:
             ValueError: If an option of `OBSERVED` differs; the message names the remedy.
         """
         own, named = self._resolved, self.interface
+        blocks = own.observation or find_task(self.task).observation
+        is_listed = not isinstance(blocks, Mapping) and all(isinstance(one, str) for one in blocks)
         for name in OBSERVED:
+            if is_listed and name in RANGED and not set(RANGED[name]) & set(blocks):
+                continue
             # Another task has defaults of its own, and fits if the network does
             if task != self.task and name not in named:
                 continue
@@ -334,7 +345,7 @@ class RunConfig:
                     f"{name} is {shown(plain_value(given))}, and it was trained for task "
                     f"{self.task!r} with {shown(plain_value(learned))} and "
                     f"{' or '.join(map(str, action_names(self.action)))} actions: leave {name} "
-                    f"out, or train another policy, by bulletuav train {task} --algo {FAST} "
+                    f"out, or train another policy, by bulletuav train {task} "
                     f"--set {name}=VALUE"
                 )
 
@@ -421,7 +432,7 @@ def shipped(task: str) -> Path:
     if task not in shipped_tasks():
         raise ValueError(
             f"the package has no policy for task {task!r}, only for {', '.join(shipped_tasks())}: "
-            f"train one by bulletuav train {task} --algo {FAST}, and fly its folder"
+            f"train one by bulletuav train {task}, and fly its folder"
         )
     return SHIPPED / task
 

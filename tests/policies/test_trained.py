@@ -228,16 +228,26 @@ def test_a_damaged_policy_is_refused(change, said, tmp_path):
     [
         ({"observation": ["velocity", "goal_offset", "intruders"]}, "observation is"),
         ({"normalise": True}, "normalise is True"),
-        ({"max_range": 30.0}, "max_range is 30.0"),
     ],
 )
 def test_observations_of_another_meaning_are_refused(options, said):
     pilot = find_policy("trained", "crossing")
     aviary = bulletuav.Aviary("crossing", 1, **{**pilot.options, **options})
-    remedy = r"task 'crossing' with .* and velocity actions: leave .* --algo fast_ppo --set"
+    remedy = r"task 'crossing' with .* and velocity actions: leave .* train crossing --set"
     with pytest.raises(ValueError, match=rf"{said}.*{remedy}"):
         pilot(aviary)
     aviary.close()
+
+
+@pytest.mark.parametrize("option", [{"max_range": 30.0}, {"lidar_frame": "world"}])
+def test_options_of_a_lidar_concern_only_policies_that_observe_it(option):
+    (name,) = option
+    for task, fits in (("crossing", True), ("lidar_navigation", False)):
+        pilot = find_policy("trained", task)
+        aviary = bulletuav.Aviary(task, 1, **{**pilot.options, **option})
+        expected = contextlib.nullcontext() if fits else pytest.raises(ValueError, match=name)
+        with contextlib.closing(aviary), expected:
+            pilot(aviary)
 
 
 def test_a_policy_of_a_swarm_flies_with_other_numbers_of_neighbours_and_in_other_tasks():
@@ -273,6 +283,6 @@ def test_a_block_may_be_an_object_where_the_training_named_it(tmp_path):
 
 def test_a_task_without_a_policy_names_the_command_that_trains_one(monkeypatch):
     monkeypatch.setattr(run_module, "shipped_tasks", lambda: ["mec"])
-    command = "only for mec: train one by bulletuav train converge --algo fast_ppo"
+    command = "only for mec: train one by bulletuav train converge, and"
     with pytest.raises(ValueError, match=command):
         find_policy("trained", "converge")
