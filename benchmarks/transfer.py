@@ -177,6 +177,7 @@ def write_rows(rows: list[Row], path: Path) -> None:
 
 def markdown(rows: list[Row], episodes: int) -> str:
     """Return the page: a table for each axis, with a column for each of its values."""
+    tasks = ",".join(dict.fromkeys(row.task for row in rows))
     lines = [
         "# Transfer of the trained policies",
         "",
@@ -188,7 +189,8 @@ def markdown(rows: list[Row], episodes: int) -> str:
         f"{datetime.date.today()}, bulletuav {bulletuav.__version__}, constants {CONSTANTS}:",
         "",
         "```sh",
-        f"python benchmarks/transfer.py --episodes {episodes} --out docs/results/transfer",
+        f"python benchmarks/transfer.py --episodes {episodes} --tasks {tasks} "
+        f"--out docs/results/transfer",
         "```",
         "",
         "![Safe success of each task and condition](transfer.png)",
