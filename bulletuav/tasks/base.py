@@ -203,7 +203,6 @@ class Task(ABC, Generic[ConfigT]):
         self.weights = merge_weights(usual, config.weights)
         self.zone = 2 * config.d_safe
         self.parts: list[Part] = []
-        self._informing: list[Part] = []
         self.bound = BoundTerms()
         self.team = np.zeros(context.num_drones, dtype=int)
         # Configs that are no TaskConfig may lack this option
@@ -226,8 +225,6 @@ class Task(ABC, Generic[ConfigT]):
                     f"call super().{name}(...) in it and use the result"
                 )
         self.parts.append(part)
-        if kind.info is not Part.info:
-            self._informing.append(part)
         return part
 
     def overrides_method(self, method: str) -> bool:
@@ -479,7 +476,7 @@ class Task(ABC, Generic[ConfigT]):
 
     def info(self, frame: Frame) -> dict[str, np.ndarray]:
         """Return additional infos, (W, N) by name; by default those of its parts."""
-        return _merge_tables(part.info(frame) for part in self._informing)
+        return _merge_tables(part.info(frame) for part in self.parts)
 
     def compiled_info_names(self) -> list[str]:
         """List the names of the infos that compiled calls of the parts write."""

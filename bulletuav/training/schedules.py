@@ -150,6 +150,8 @@ FAST_FLIGHT: dict[str, Any] = {
 """Settings of runs with the algorithm `FAST` in flights of several drones to goals"""
 WIDE = 6.0
 """Separation that training asks for, m: policies that keep it seldom fall below the task's 5 m"""
+CITIES = {"num_layouts": 16, "city_seed": 77}
+"""Cities of trainings, which no evaluation uses"""
 FAST_SERVICE: dict[str, Any] = {
     "steps": 400_000,
     "evaluations": 2,
@@ -157,9 +159,7 @@ FAST_SERVICE: dict[str, Any] = {
         # The network does not depend on the numbers of drones and users
         "observation": ["room", "contribution_ahead", "all_neighbours", "targets"],
         "difficulty": "medium",
-        # Cities that no evaluation uses
-        "num_layouts": 16,
-        "city_seed": 77,
+        **CITIES,
     },
     "model": {
         "features": "swarm",
@@ -213,9 +213,7 @@ FAST_OWN: dict[str, dict[str, Any]] = {
             "num_drones": [3, 8],
             "difficulty": "medium",
             "dynamics": "rigid_body",
-            # Cities that no evaluation uses
-            "num_layouts": 16,
-            "city_seed": 77,
+            **CITIES,
             # Those of examples/streets.py
             "weights": {
                 "progress": 0.1,
@@ -281,9 +279,7 @@ FAST_OWN: dict[str, dict[str, Any]] = {
             "difficulty": "medium",
             # As fast as `point_mass`, and near the default dynamics
             "dynamics": "rigid_body",
-            # Cities that no evaluation uses
-            "num_layouts": 16,
-            "city_seed": 77,
+            **CITIES,
         },
     },
     "interception": {

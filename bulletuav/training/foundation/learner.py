@@ -38,7 +38,6 @@ from bulletuav.training.foundation.gru import (
 )
 from bulletuav.training.foundation.settings import check_foundation_settings
 from bulletuav.training.foundation.teacher import (
-    NUM_STATES,
     REACH,
     command_teachers,
     teacher_gains,
@@ -179,7 +178,6 @@ class Student:
         airframes = [draw_airframe(self._rng) for _ in range(own.airframes)]
         hertz = env.aviary.options.decision_hz
         gains = np.array([teacher_gains(one, hertz) for one in airframes])
-        gains = gains.reshape(len(airframes), NUM_ROTORS, NUM_STATES)
         most = np.array([one.max_rotor_speed for one in airframes])
         hover = np.square([one.hover_speed() / one.max_rotor_speed for one in airframes])
         seen = env.replace_airframes(airframes, int(self._rng.integers(2**31)))
