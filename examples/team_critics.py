@@ -1,14 +1,17 @@
-"""Train drones with critics of the whole team, by VDN or MADDPG, in one file.
+"""Train drones with critics of the whole team, by VDN, QMIX or MADDPG, in one file.
 
 All drones share one network and act on their own observations. `vdn` has discrete actions: the Q
 values of a team add up to the value of the team reward (P. Sunehag et al., Value-decomposition
-networks, 2017). `maddpg` has velocities as actions, and a critic with the observations and actions
-of all drones (R. Lowe et al., Multi-agent actor-critic for mixed cooperative-competitive
-environments, 2017). The output folder can be flown without PyTorch: `--policy FOLDER`.
+networks, 2017). `qmix` mixes them by a network whose weights depend on all observations (T. Rashid
+et al., QMIX: Monotonic value function factorisation, 2018). `maddpg` has velocities as actions, and
+a critic with the observations and actions of all drones (R. Lowe et al., Multi-agent actor-critic
+for mixed cooperative-competitive environments, 2017). The output folder can be flown without
+PyTorch: `--policy FOLDER`.
 
 Run it:
 
     python examples/team_critics.py vdn
+    python examples/team_critics.py qmix
     python examples/team_critics.py maddpg --steps 400000 --seed 1 --out maddpg
 
 Takes 1 to 3 minutes on one core. Needs the extra `sb3`.
@@ -77,6 +80,11 @@ def layers(*sizes: int) -> nn.Sequential:
     return nn.Sequential(*parts[:-1])
 
 
+def shrink(seen: Array) -> Array:
+    """Return observations of similar size, for critics."""
+    return seen.sign() * seen.abs().log1p()
+
+
 class Actor(nn.Module):
     """Actor or Q network of a drone, with the parameter names of `dqn` and `ddpg`."""
 
@@ -93,19 +101,55 @@ class Actor(nn.Module):
         return self.get_submodule(self.head)(known).reshape(*seen.shape[:-1], -1)
 
 
+class Sum(nn.Module):
+    """Value of a team: the sum of the values of its drones that fly."""
+
+    def __init__(self, env: Any) -> None:
+        super().__init__()
+        team = torch.from_numpy(np.asarray(env.aviary.task.team))
+        self.teams = nn.functional.one_hot(team).float().T  # (teams, N)
+
+    def forward(self, value: Array, flies: Array, seen: Array) -> Array:
+        """Return values (B, teams) for values (B, N) of drones and observations (B, N, D)."""
+        return (value * flies) @ self.teams.T
+
+
+class Mixer(Sum):
+    """Value of a team: rises with that of each drone, as no weight of this network is negative."""
+
+    def __init__(self, env: Any, hidden: int = 32) -> None:
+        super().__init__(env)
+        teams, drones = self.teams.shape
+        state = drones * len(env.observation_labels) + teams
+        self.shape = (drones, hidden)
+        self.weights, self.biases = layers(state, drones * hidden), layers(state, hidden)
+        self.last_weights, self.last_bias = layers(state, hidden), layers(state, hidden, 1)
+
+    def forward(self, value: Array, flies: Array, seen: Array) -> Array:
+        """Return values (B, teams) for values (B, N) of drones and observations (B, N, D)."""
+        known = (shrink(seen) * flies.unsqueeze(-1)).flatten(1)
+        each = torch.eye(len(self.teams)).expand(len(seen), -1, -1)
+        state = torch.cat([known.unsqueeze(1).expand(-1, len(self.teams), -1), each], -1)
+        own = flies.unsqueeze(1) * self.teams  # (B, teams, N)
+        weights = self.weights(state).abs().unflatten(-1, self.shape)
+        mixed = ((value.unsqueeze(1) * own).unsqueeze(-1) * weights).sum(-2) + self.biases(state)
+        mixed = nn.functional.elu(mixed) * self.last_weights(state).abs()
+        # A team of which no drone flies has no value
+        return (mixed.sum(-1) + self.last_bias(state).squeeze(-1)) * own.amax(-1)
+
+
 class Vdn:
     """Value decomposition: Q values that add up over a team, with double Q-learning."""
 
-    form, action = "dqn", "discrete"
+    form, action, mixer = "dqn", "discrete", Sum
 
     def __init__(self, env: Any, plan: Plan) -> None:
         self._choices = int(env.action_space.n)
         self.actor = Actor(env, self._choices, "q_net")
-        self.target = copy.deepcopy(self.actor)
+        self._nets = nn.ModuleList([self.actor, self.mixer(env)])
+        self._targets = copy.deepcopy(self._nets)
         self.plan = plan
-        self._optimiser = torch.optim.Adam(self.actor.parameters(), plan.rate)
-        team = torch.from_numpy(np.asarray(env.aviary.task.team))
-        self._teams = nn.functional.one_hot(team).float()  # (N, teams)
+        self._optimiser = torch.optim.Adam(self._nets.parameters(), plan.rate)
 
     def random(self, seen: Array) -> Array:
         """Choose at random."""
@@ -119,20 +163,27 @@ class Vdn:
         return torch.where(torch.rand(best.shape) < share, self.random(seen), best)
 
     def learn(self, seen: Array, action: Array, results: Array, after: Array) -> None:
-        """Update the Q values."""
+        """Update the Q values, and the network that mixes them."""
         reward, flown, goes_on = results.unbind(-1)
-        value = self.actor(seen).gather(-1, action.long()).squeeze(-1)
+        (actor, mixer), (target_actor, target_mixer) = self._nets, self._targets
+        value = actor(seen).gather(-1, action.long()).squeeze(-1)
         with torch.no_grad():
-            best = self.actor(after).argmax(-1, keepdim=True)
-            later = self.target(after).gather(-1, best).squeeze(-1)
-            goal = (reward + self.plan.gamma * goes_on * later) @ self._teams
-        error = nn.functional.smooth_l1_loss((value * flown) @ self._teams, goal)
-        descend(self._optimiser, error, self.actor)
-        follow(self.target, self.actor, self.plan.tau)
+            best = actor(after).argmax(-1, keepdim=True)
+            later = target_actor(after).gather(-1, best).squeeze(-1)
+            goal = reward @ mixer.teams.T + self.plan.gamma * target_mixer(later, goes_on, after)
+        error = nn.functional.smooth_l1_loss(mixer(value, flown, seen), goal)
+        descend(self._optimiser, error, self._nets)
+        follow(self._targets, self._nets, self.plan.tau)
 
     def arrays(self) -> dict[str, Array]:
         """Return the parameters under the names of stable-baselines3."""
         return {f"q_net.{name}": part for name, part in self.actor.state_dict().items()}
+
+
+class Qmix(Vdn):
+    """QMIX: Q values that a network mixes, with double Q-learning."""
+
+    mixer = Mixer
 
 
 class Maddpg:
@@ -165,7 +216,7 @@ class Maddpg:
 
     def _joint(self, seen: Array, action: Array, flown: Array) -> Array:
         """Return the joint observations and actions (B, N, K), the input of the critic."""
-        parts = torch.cat([seen.sign() * seen.abs().log1p(), action, torch.ones_like(flown)], -1)
+        parts = torch.cat([shrink(seen), action, torch.ones_like(flown)], -1)
         return (parts * flown)[:, self._order].flatten(2)
 
     def learn(self, seen: Array, action: Array, results: Array, after: Array) -> None:
@@ -196,7 +247,7 @@ class Maddpg:
         return {**named, LOW: -ones, HIGH: ones}
 
 
-LEARNERS = {"vdn": Vdn, "maddpg": Maddpg}
+LEARNERS = {"vdn": Vdn, "qmix": Qmix, "maddpg": Maddpg}
 
 
 def descend(optimiser: torch.optim.Optimizer, loss: Array, net: nn.Module) -> None:

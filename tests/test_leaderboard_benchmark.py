@@ -325,12 +325,13 @@ def pair(benchmark):
     env.close()
 
 
-def test_vdn_finds_who_earned_what_the_team_is_paid(pair):
+@pytest.mark.parametrize("name", ["vdn", "qmix"])
+def test_value_decomposition_finds_who_earned_what_the_team_is_paid(pair, name):
     import torch
-    from team_critics import Plan, Vdn
+    from team_critics import LEARNERS, Plan
 
     env, seen = pair
-    learner = Vdn(env, Plan("crossing", {}, tau=1.0, rate=3e-3))
+    learner = LEARNERS[name](env, Plan("crossing", {}, tau=1.0, rate=3e-3))
     for _ in range(150):
         action = learner.random(seen)
         # The first earns by choice 2 and the second by choice 3, but the first is paid for both
@@ -342,6 +343,31 @@ def test_vdn_finds_who_earned_what_the_team_is_paid(pair):
     best = learner.actor(seen).argmax(-1)
     assert (best[:, 0] == 2).all()
     assert (best[:, 1] == 3).all()
+
+
+def test_mixed_values_rise_with_those_of_drones_that_fly(pair):
+    import torch
+    from team_critics import Mixer
+
+    env, seen = pair
+    torch.manual_seed(0)
+    mixer = Mixer(env)
+    value = torch.randn(64, 2)
+    with torch.no_grad():
+        mixed = mixer(value, torch.ones(64, 2), seen)
+        assert mixed.shape == (64, 1)
+        for drone in range(2):
+            more = value.clone()
+            more[:, drone] += 1
+            assert (mixer(more, torch.ones(64, 2), seen) > mixed).all()
+        # The weights depend on observations, and a drone that does not fly has no part
+        other = mixer(value, torch.ones(64, 2), seen.flip(0))
+        assert not torch.allclose(other, mixed)
+        flies = torch.tensor([1.0, 0.0]).expand(64, 2)
+        hidden = torch.cat([value[:, :1], value[:, 1:] + 5], 1)
+        changed = torch.stack([seen[:, 0], seen[:, 1] + 5], 1)
+        assert torch.equal(mixer(value, flies, seen), mixer(hidden, flies, changed))
+        assert (mixer(value, torch.zeros(64, 2), seen) == 0).all()
 
 
 def test_maddpg_learns_by_a_critic_that_sees_what_others_do(pair):
