@@ -3,101 +3,97 @@
 The server is set by `MLFLOW_TRACKING_URI`, such as http://localhost:5000.
 """
 
+import contextlib
 import math
 import time
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
 
 from bulletuav.errors import missing_extra
 from bulletuav.files import replace_file
 from bulletuav.policies.run import RunConfig
+from bulletuav.training.store import evaluation_conditions, training_conditions
+from bulletuav.training.trackers import Log, run_name
 
 try:
     from mlflow import MlflowClient
-    from mlflow.entities import Metric, Param
+    from mlflow.entities import Metric, Param, RunTag
     from mlflow.exceptions import MlflowException
-    from stable_baselines3.common.logger import KVWriter
 except ImportError:
     raise missing_extra("logging a training to MLflow", "mlflow") from None
 
 EXPERIMENT = "bulletuav"
 """Name of the MLflow experiment of all runs"""
 RUN_ID = "mlflow.txt"
-"""File in the folder of a run that stores its MLflow run id"""
+"""File in the folder of a training that stores the id of its MLflow run"""
 
 
-class MlflowWriter(KVWriter):
-    """Output format of the stable-baselines3 logger that writes to an MLflow run.
+@contextlib.contextmanager
+def open_run(config: RunConfig, folder: Path) -> Iterator[Log]:
+    """Create a run in MLflow, or resume that of an interrupted training.
 
-    It is a context manager, which sets the final status of the run.
+    At the end of the context its status is finished, killed by an interrupt, or failed.
+
+    Args:
+        config: Settings, logged as parameters of the run.
+        folder: Folder of the training.
+
+    Yields:
+        Function that logs finite numbers as metrics.
+
+    Raises:
+        RuntimeError: If MLflow cannot be reached, or rejects the run.
     """
+    try:
+        client = MlflowClient()
+        run = _resume_run(client, folder / RUN_ID) or _create_run(client, config, folder / RUN_ID)
+    except MlflowException as error:
+        raise RuntimeError(
+            f"MLflow rejects the run: {error.message}; see MLFLOW_TRACKING_URI"
+        ) from None
 
-    def __init__(self, config: RunConfig, folder: Path) -> None:
-        """Create a run in MLflow, or resume the run of an interrupted training.
-
-        Args:
-            config: Settings, logged as parameters of the run.
-            folder: Folder of the training.
-
-        Raises:
-            RuntimeError: If MLflow cannot be reached, or rejects the run.
-        """
-        try:
-            self._client = MlflowClient()
-            self._run = self._resume_run(folder / RUN_ID) or self._create_run(
-                config, folder / RUN_ID
-            )
-        except MlflowException as error:
-            raise RuntimeError(
-                f"MLflow rejects the run: {error.message}; see MLFLOW_TRACKING_URI"
-            ) from None
-
-    def _resume_run(self, file: Path) -> str | None:
-        """Resume the run whose id the file stores; return None if there is no file."""
-        if not file.exists():
-            return None
-        run = file.read_text(encoding="utf-8").strip()
-        self._client.update_run(run, status="RUNNING")
-        return run
-
-    def _create_run(self, config: RunConfig, file: Path) -> str:
-        """Create a run, and store its id in the file."""
-        known = self._client.get_experiment_by_name(EXPERIMENT)
-        place = known.experiment_id if known else self._client.create_experiment(EXPERIMENT)
-        name = f"{config.task}-{config.algo}-{config.seed}"
-        run: str = self._client.create_run(place, run_name=name).info.run_id
-        params = [Param(key, str(value)) for key, value in config.plain().items()]
-        self._client.log_batch(run, params=params)
-        replace_file(file, run + "\n")
-        return run
-
-    def write(
-        self, key_values: dict[str, Any], key_excluded: dict[str, tuple[str, ...]], step: int = 0
-    ) -> None:
-        """Log the finite numbers of a step as metrics, and texts as tags."""
+    def log(values: Mapping[str, float], steps: int) -> None:
         now = int(1000 * time.time())
-        texts = {key: value for key, value in key_values.items() if isinstance(value, str)}
-        numbers = {key: float(key_values[key]) for key in key_values.keys() - texts.keys()}
-        for key, text in texts.items():
-            self._client.set_tag(self._run, key, text)
         metrics = [
-            Metric(key, value, now, step) for key, value in numbers.items() if math.isfinite(value)
+            Metric(name, float(value), now, steps)
+            for name, value in values.items()
+            if math.isfinite(value)
         ]
-        self._client.log_batch(self._run, metrics=metrics)
+        client.log_batch(run, metrics=metrics)
 
-    def close(self) -> None:
-        """Do nothing: `__exit__` ends the run."""
+    status = "KILLED"
+    try:
+        yield log
+        status = "FINISHED"
+    except Exception:
+        status = "FAILED"
+        raise
+    finally:
+        client.set_terminated(run, status)
 
-    def __enter__(self) -> Self:
-        """Return the writer."""
-        return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, _: TracebackType | None
-    ) -> None:
-        """Set the final status of the run: finished, killed by an interrupt, or failed."""
-        status = "FINISHED" if kind is None else "FAILED"
-        if kind is not None and not issubclass(kind, Exception):
-            status = "KILLED"
-        self._client.set_terminated(self._run, status)
+def _resume_run(client: MlflowClient, file: Path) -> str | None:
+    """Resume the run whose id the file stores; return None if there is no file."""
+    if not file.exists():
+        return None
+    run = file.read_text(encoding="utf-8").strip()
+    client.update_run(run, status="RUNNING")
+    return run
+
+
+def _create_run(client: MlflowClient, config: RunConfig, file: Path) -> str:
+    """Create a run with the settings of the training, and store its id in the file."""
+    known = client.get_experiment_by_name(EXPERIMENT)
+    experiment = known.experiment_id if known else client.create_experiment(EXPERIMENT)
+    run: str = client.create_run(experiment, run_name=run_name(config)).info.run_id
+    conditions = {
+        "rollout/conditions": training_conditions(config),
+        "evaluation/conditions": evaluation_conditions(config),
+    }
+    client.log_batch(
+        run,
+        params=[Param(key, str(value)) for key, value in config.plain().items()],
+        tags=[RunTag(key, str(value)) for key, value in conditions.items()],
+    )
+    replace_file(file, run + "\n")
+    return run

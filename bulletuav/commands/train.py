@@ -160,8 +160,8 @@ def _train_one(arguments: argparse.Namespace, config: RunConfig) -> None:
     print_conditions(f"in training: {training_conditions(config)}")
     _print_rounded([config])
     with show_progress(f"training {config.task}", config.steps, "steps") as report:
-        mlflow = arguments.mlflow
-        rows = with_resume_hint(out, lambda: train(config, out, report, report.note, mlflow))
+        tracker = arguments.tracker
+        rows = with_resume_hint(out, lambda: train(config, out, report, report.note, tracker))
     _finish(
         arguments,
         out,
@@ -176,7 +176,7 @@ def _train_several(arguments: argparse.Namespace, configs: list[RunConfig]) -> N
     out = make_out_folder(arguments.out or Path("training"))
     chosen = arguments.seeds or ([0, 1, 2] if arguments.seed is None else [arguments.seed])
     runs = [dataclasses.replace(config, seed=seed) for config in configs for seed in chosen]
-    campaign = Campaign(runs, out / "runs", arguments.mlflow)
+    campaign = Campaign(runs, out / "runs", arguments.tracker)
     for conditions in dict.fromkeys(map(evaluation_conditions, runs)):
         print_conditions(f"evaluations in training: {conditions}")
     _print_rounded(configs)

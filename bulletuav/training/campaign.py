@@ -40,18 +40,20 @@ class Campaign:
         total: Total number of steps of all runs.
     """
 
-    def __init__(self, configs: Sequence[RunConfig], folder: Path, mlflow: bool = False) -> None:
+    def __init__(
+        self, configs: Sequence[RunConfig], folder: Path, tracker: str | None = None
+    ) -> None:
         """Make a campaign.
 
         Args:
             configs: Settings of the runs, which differ in task or seed.
             folder: Parent folder of the runs.
-            mlflow: If True, also log to MLflow.
+            tracker: Name of an experiment tracker, see `bulletuav.training.trainer.train`.
         """
         self.configs = list(configs)
         self.total = sum(config.steps for config in configs)
         self._folder = folder
-        self._mlflow = mlflow
+        self._tracker = tracker
 
     def run_folder(self, config: RunConfig) -> Path:
         """Return the folder of a run."""
@@ -82,7 +84,7 @@ class Campaign:
         with training_processes(workers) as pool:
             with block_interrupts():
                 futures = [
-                    pool.submit(train_in_process, config, self.run_folder(config), self._mlflow)
+                    pool.submit(train_in_process, config, self.run_folder(config), self._tracker)
                     for config in self.configs
                 ]
             self._watch(futures, progress, note)
@@ -160,7 +162,7 @@ def _ignore_interrupts() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
-def train_in_process(config: RunConfig, folder: Path, mlflow: bool = False) -> list[Row]:
+def train_in_process(config: RunConfig, folder: Path, tracker: str | None = None) -> list[Row]:
     """Train one run in a worker process; see `bulletuav.training.trainer.train`."""
     from bulletuav.training.trainer import train
 
@@ -171,7 +173,7 @@ def train_in_process(config: RunConfig, folder: Path, mlflow: bool = False) -> l
         if parent is not None and not parent.is_alive():
             os._exit(1)
 
-    return train(config, folder, end_with_parent, mlflow=mlflow)
+    return train(config, folder, end_with_parent, tracker=tracker)
 
 
 def _last(folder: Path) -> Row:

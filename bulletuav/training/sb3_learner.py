@@ -1,6 +1,5 @@
 """Training by stable-baselines3."""
 
-import importlib
 import importlib.util
 from collections.abc import Mapping
 from contextlib import ExitStack
@@ -16,14 +15,10 @@ from bulletuav.training import checkpoint
 from bulletuav.training.models import make_model
 from bulletuav.training.segments import Note, Progress, Segments, make_slots
 from bulletuav.training.store import Store, evaluation_conditions, training_conditions
-
-MLFLOW = "bulletuav.adapters.mlflow"
-"""Module that logs to MLflow; it needs the extra `mlflow`"""
+from bulletuav.training.trackers import Log
 
 
-def learn_by_sb3(
-    config: RunConfig, store: Store, progress: Progress, note: Note, mlflow: bool
-) -> None:
+def learn_by_sb3(config: RunConfig, store: Store, progress: Progress, note: Note, log: Log) -> None:
     """Train until all steps are done.
 
     Args:
@@ -31,7 +26,7 @@ def learn_by_sb3(
         store: Storage of the run; if it has rows, the last checkpoint is restored.
         progress: Called with the number of finished steps.
         note: Called with a text when episodes end.
-        mlflow: If True, also log to MLflow.
+        log: Called with what TensorBoard gets.
 
     Raises:
         ValueError: If a setting is invalid.
@@ -41,8 +36,11 @@ def learn_by_sb3(
     # Check before worlds are created: stable-baselines3 imports it much later
     if importlib.util.find_spec("tensorboard") is None:
         raise missing_extra("training, which logs to TensorBoard,", "sb3")
+    from stable_baselines3.common.logger import configure
+
     with ExitStack() as exit_stack:
-        logger = _logger(config, store.folder, mlflow, exit_stack)
+        logger = configure(str(store.folder / "tensorboard"), ["tensorboard"])
+        exit_stack.callback(logger.close)
         env = make_slots(config, DroneVecEnv)
         exit_stack.callback(env.close)
         model = make_model(config, env)
@@ -55,7 +53,16 @@ def learn_by_sb3(
         logger.dump(model.num_timesteps)
         # The callback evaluates and saves at the end of segments
         callback = _Learner(model, env)
-        segments = callback.segments = Segments(config, env, store, callback, progress, note)
+
+        def log_to_both(values: Mapping[str, float], steps: int) -> None:
+            for name, value in values.items():
+                logger.record(name, value)
+            logger.dump(steps)
+            log(values, steps)
+
+        segments = callback.segments = Segments(
+            config, env, store, callback, progress, note, log_to_both
+        )
         # Only the remaining steps
         model.learn(
             config.steps - model.num_timesteps,
@@ -64,19 +71,6 @@ def learn_by_sb3(
             reset_num_timesteps=False,
         )
         segments.end()
-
-
-def _logger(config: RunConfig, folder: Path, mlflow: bool, exit_stack: ExitStack) -> Any:
-    """Make the logger of stable-baselines3; `exit_stack` closes its outputs."""
-    from stable_baselines3.common.logger import configure
-
-    logger = configure(str(folder / "tensorboard"), ["tensorboard"])
-    exit_stack.callback(logger.close)
-    if mlflow:
-        adapter = importlib.import_module(MLFLOW)
-        run = exit_stack.enter_context(adapter.MlflowWriter(config, folder))
-        logger.output_formats.append(run)
-    return logger
 
 
 class _Learner(BaseCallback):
@@ -127,9 +121,3 @@ class _Learner(BaseCallback):
             for name, value in self.model.logger.name_to_value.items()
             if isinstance(value, int | float | np.number)
         }
-
-    def log(self, values: Mapping[str, float]) -> None:
-        """Log values to TensorBoard, at the present number of steps."""
-        for name, value in values.items():
-            self.model.logger.record(name, value)
-        self.model.logger.dump(self.num_steps)

@@ -5,7 +5,7 @@ the index of the segment, and ends with a checkpoint. A run that is resumed from
 therefore ends with the weights of an uninterrupted run.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -17,6 +17,7 @@ from bulletuav.analysis.metrics import METRICS
 from bulletuav.envs.curriculum import Curriculum
 from bulletuav.policies.run import RunConfig
 from bulletuav.training.store import EVALUATION_SEED, RECENT, Row, Store
+from bulletuav.training.trackers import Log
 from bulletuav.training.wall_time import WallTime
 
 MAX_UPDATES = 1000
@@ -50,9 +51,6 @@ class Learner(Protocol):
 
     def statistics(self) -> dict[str, float]:
         """Return the statistics of the last update by name, such as losses."""
-
-    def log(self, values: Mapping[str, float]) -> None:
-        """Log values elsewhere, at the present number of steps."""
 
 
 class OwnLearner(Learner, Protocol):
@@ -97,6 +95,7 @@ class Segments:
         learner: Learner,
         progress: Progress,
         note: Note,
+        log: Log,
     ) -> None:
         """Start with no open segment; the environment continues where the store ends.
 
@@ -107,6 +106,7 @@ class Segments:
             learner: The learner.
             progress: Called with the number of finished steps.
             note: Called with a text when episodes end.
+            log: Called with the statistics of updates, and with the rows of the curve.
         """
         self._config = config
         self._env = env
@@ -114,6 +114,7 @@ class Segments:
         self._learner = learner
         self._progress = progress
         self._note = note
+        self._log = log
         # Episodes of the segment, how many of them are logged, and its rows of updates
         self._episodes: list[dict[str, float]] = []
         self._counted = 0
@@ -165,7 +166,7 @@ class Segments:
         found = {f"rollout/{name}": _mean(fresh, key) for name, key in CURVE_COLUMNS.items()}
         found |= self._learner.statistics()
         self._updates.append({"steps": float(steps), **found})
-        self._learner.log(found)
+        self._log(found, steps)
 
     def add_infos(self, infos: Sequence[dict[str, Any]]) -> None:
         """Record and report the episodes that ended in a decision.
@@ -225,7 +226,7 @@ class Segments:
         # Once the segment is stored, an interrupt can only lose its row elsewhere
         self._store.add(row, self._updates, self._env.curriculum.state())
         named = {name if "/" in name else f"evaluation/{name}": row[name] for name in row}
-        self._learner.log(named)
+        self._log(named, self._learner.num_steps)
         # Reset for the next segment
         self._episodes, self._counted, self._updates = [], 0, []
         self._wall = WallTime()
@@ -244,6 +245,7 @@ def learn_in_segments(
     store: Store,
     progress: Progress,
     note: Note,
+    log: Log,
 ) -> None:
     """Train until all steps are done.
 
@@ -254,13 +256,14 @@ def learn_in_segments(
         store: Storage of the run; if it has rows, the last checkpoint is restored.
         progress: Called with the number of finished steps.
         note: Called with a text when episodes end.
+        log: Called with the statistics of updates, and with the rows of the curve.
 
     Raises:
         ValueError: If the checkpoint is damaged.
     """
     if store.rows:
         learner.restore(store.last)
-    segments = Segments(config, env, store, learner, progress, note)
+    segments = Segments(config, env, store, learner, progress, note, log)
     while learner.num_steps < config.steps:
         segments.start_rollout()
         learner.collect(segments.add_infos)

@@ -11,6 +11,7 @@ from bulletuav.training.fast.settings import check_fast_settings
 from bulletuav.training.foundation.settings import check_foundation_settings
 from bulletuav.training.segments import Note, Progress
 from bulletuav.training.store import Row, open_store
+from bulletuav.training.trackers import open_tracker
 
 FAST_LEARNER = "bulletuav.training.fast.learner"
 """Module of the algorithm `FAST`"""
@@ -27,7 +28,7 @@ def train(
     out: Path,
     progress: Progress = lambda steps: None,
     note: Note = lambda text: None,
-    mlflow: bool = False,
+    tracker: str | None = None,
 ) -> list[Row]:
     """Train a policy, and store everything in a folder.
 
@@ -40,15 +41,16 @@ def train(
         out: The folder.
         progress: Called with the number of finished steps.
         note: Called with a text of return, success and speed when episodes end.
-        mlflow: If True, also log to MLflow; see `bulletuav.adapters.mlflow`.
+        tracker: Name of an experiment tracker to which the training also logs, one of
+            `bulletuav.training.trackers.TRACKERS`.
 
     Returns:
         The learning curve, see `Store`.
 
     Raises:
         ValueError: If the configuration is invalid, or the folder has another run.
-        ImportError: If the extra `sb3`, or `mlflow`, is not installed.
-        RuntimeError: If MLflow cannot be reached.
+        ImportError: If the extra `sb3`, or that of the tracker, is not installed.
+        RuntimeError: If the tracker cannot be reached.
     """
     if config.algo == FAST:
         learn = importlib.import_module(FAST_LEARNER).learn_fast
@@ -56,9 +58,11 @@ def train(
         learn = importlib.import_module(FOUNDATION_LEARNER).learn_foundation
     else:
         learn = importlib.import_module(SB3_LEARNER).learn_by_sb3
+    opened = open_tracker(tracker, config, out)
     with open_store(out, config) as store:
         if not store.finished:
-            learn(config, store, progress, note, mlflow)
+            with opened as log:
+                learn(config, store, progress, note, log)
         progress(config.steps)
         return store.rows
 

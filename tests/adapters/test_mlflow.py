@@ -1,4 +1,4 @@
-"""Trainings told to MLflow."""
+"""Logging of trainings to MLflow."""
 
 import csv
 import dataclasses
@@ -8,7 +8,7 @@ import pytest
 from inline import no_processes
 from mlflow import MlflowClient
 
-from bulletuav.adapters.mlflow import EXPERIMENT, RUN_ID, MlflowWriter
+from bulletuav.adapters.mlflow import EXPERIMENT, RUN_ID
 from bulletuav.cli import main
 from bulletuav.policies.run import RunConfig
 from bulletuav.training import campaign
@@ -63,9 +63,9 @@ def test_settings_and_curves_are_those_of_the_folder(client, tmp_path):
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        train(CONFIG, tmp_path / "run", interrupt, mlflow=True)
+        train(CONFIG, tmp_path / "run", interrupt, tracker="mlflow")
     assert [run.info.status for run in runs(client)] == ["KILLED"]
-    train(CONFIG, tmp_path / "run", mlflow=True)
+    train(CONFIG, tmp_path / "run", tracker="mlflow")
     (run,) = runs(client)
     assert (tmp_path / "run" / RUN_ID).read_text().strip() == run.info.run_id
     assert (run.info.run_name, run.info.status) == ("converge-ppo-0", "FINISHED")
@@ -87,7 +87,7 @@ def test_a_training_that_fails_is_told_as_such(client, tmp_path):
     """Here one whose model cannot be made."""
     broken = dataclasses.replace(CONFIG, model={**CONFIG.model, "learning_rate": "fast"})
     with pytest.raises(ValueError, match="fast"):
-        train(broken, tmp_path / "run", mlflow=True)
+        train(broken, tmp_path / "run", tracker="mlflow")
     assert [run.info.status for run in runs(client)] == ["FAILED"]
 
 
@@ -96,7 +96,16 @@ def test_several_seeds_are_several_runs(client, tmp_path, monkeypatch):
     monkeypatch.setattr(campaign, "training_processes", no_processes)
     sets = [f"--set={name}={value}" for name, value in (("horizon", 12), ("num_drones", 2))]
     usual = ["--steps", "64", "--worlds", "2", "--evaluations", "1", "--episodes", "1"]
-    usual += ["--model", "n_steps=16", "--model", "batch_size=32", "--seeds", "0,1", "--mlflow"]
+    usual += [
+        "--model",
+        "n_steps=16",
+        "--model",
+        "batch_size=32",
+        "--seeds",
+        "0,1",
+        "--tracker",
+        "mlflow",
+    ]
     out = ["--out", str(tmp_path / "out"), "--dynamics", "single_integrator"]
     main(["train", "obstacles", *sets, *usual, *out])
     assert sorted(run.info.run_name for run in runs(client)) == [
@@ -108,12 +117,12 @@ def test_several_seeds_are_several_runs(client, tmp_path, monkeypatch):
 def test_a_place_that_is_none_is_told_before_anything_is_trained(tmp_path, monkeypatch):
     monkeypatch.setenv("MLFLOW_TRACKING_URI", "nowhere://here")
     with pytest.raises(RuntimeError, match="MLflow rejects the run: .*MLFLOW_TRACKING_URI"):
-        MlflowWriter(CONFIG, tmp_path)
-    assert not list(tmp_path.iterdir())
+        train(CONFIG, tmp_path, tracker="mlflow")
+    assert not (tmp_path / "curve.csv").exists()
 
 
 def test_the_extra_is_named_where_it_is_missing(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "mlflow", None)
     monkeypatch.delitem(sys.modules, "bulletuav.adapters.mlflow")
     with pytest.raises(ImportError, match="logging a training to MLflow needs the extra 'mlflow'"):
-        train(CONFIG, tmp_path / "run", mlflow=True)
+        train(CONFIG, tmp_path / "run", tracker="mlflow")

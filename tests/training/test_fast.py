@@ -648,11 +648,6 @@ def test_a_central_critic_of_stages_with_other_states_is_refused(tmp_path):
         train(run, tmp_path)
 
 
-def test_mlflow_is_refused(tmp_path):
-    with pytest.raises(ValueError, match="mlflow: fast_ppo logs to updates.csv only"):
-        train(config(), tmp_path, mlflow=True)
-
-
 def test_a_curriculum_with_other_numbers_of_drones_is_learned_and_resumed(tmp_path):
     stages = [{"num_drones": 2}, {"num_drones": 4}]
     run = config(stages=stages, curriculum={"up": 0.01, "down": 0.0, "window": 1})

@@ -344,8 +344,3 @@ def test_options_that_do_not_fit_are_refused(options, said):
 def test_other_tasks_are_refused():
     with pytest.raises(ValueError, match="foundation learns task 'hover', not 'crossing'"):
         default_run("crossing", FOUNDATION)
-
-
-def test_mlflow_is_refused(tmp_path):
-    with pytest.raises(ValueError, match="mlflow: foundation logs to updates.csv only"):
-        train(config(), tmp_path, mlflow=True)

@@ -38,7 +38,7 @@ def trained(monkeypatch):
     """The configurations that were trained; the return has its maximum at 1e-3 and 6 epochs."""
     configs = []
 
-    def train(config, folder, progress, mlflow):
+    def train(config, folder, progress, tracker):
         configs.append((folder, config))
         rate, epochs = config.model["learning_rate"], config.model["n_epochs"]
         if epochs == 10:
@@ -125,7 +125,7 @@ def test_a_study_of_failures_alone_tells_the_first(trained, tmp_path):
 def test_what_is_no_fault_of_a_trials_settings_ends_the_study(
     error, trained, tmp_path, monkeypatch
 ):
-    def fail(config, folder, progress, mlflow):
+    def fail(config, folder, progress, tracker):
         raise error
 
     monkeypatch.setattr(trainer, "train", fail)

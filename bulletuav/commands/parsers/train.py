@@ -39,6 +39,13 @@ def _algorithms() -> str:
     return f"algorithm: {', '.join(ALGORITHMS)} (default: ppo)"
 
 
+@DeferredHelp
+def _trackers() -> str:
+    from bulletuav.training.trackers import TRACKERS
+
+    return f"also log to an experiment tracker: {' or '.join(TRACKERS)} (extra of that name)"
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add task, algorithm, duration, seeds, output folder and environment options."""
     # A task, a file of settings, or all tasks with a policy in the package
@@ -66,9 +73,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="with --all or --seeds: number of parallel runs (default: 1)",
     )
     parser.add_argument(
-        "--mlflow",
-        action="store_true",
-        help="also log to MLflow, at MLFLOW_TRACKING_URI (extra 'mlflow')",
+        "--tracker",
+        metavar="NAME",
+        help=_trackers,
     )
     parser.add_argument(
         "--out", type=Path, metavar="DIR", help="folder for the files (default: one in training/)"

@@ -8,7 +8,7 @@ import contextlib
 import itertools
 import json
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -43,6 +43,7 @@ from bulletuav.training.fast.sets import (
 from bulletuav.training.fast.settings import REMEDY, FastSettings, check_fast_settings
 from bulletuav.training.segments import Note, Progress, learn_in_segments, make_slots
 from bulletuav.training.store import TRAINING, Store
+from bulletuav.training.trackers import Log
 
 EXTRACTORS = ("features_extractor", "pi_features_extractor", "vf_features_extractor")
 """Names under which stable-baselines3 stores the features that actor and critic share"""
@@ -58,9 +59,7 @@ STATISTICS = (
 """Names of the statistics of an update, those of stable-baselines3 after "train/" """
 
 
-def learn_fast(
-    config: RunConfig, store: Store, progress: Progress, note: Note, mlflow: bool
-) -> None:
+def learn_fast(config: RunConfig, store: Store, progress: Progress, note: Note, log: Log) -> None:
     """Train until all steps are done.
 
     Args:
@@ -68,15 +67,13 @@ def learn_fast(
         store: Storage of the run; if it has rows, the last checkpoint is restored.
         progress: Called with the number of finished steps.
         note: Called with a text when episodes end.
-        mlflow: Must be False.
+        log: Called with the statistics of updates, and with the rows of the curve.
 
     Raises:
         ValueError: If a setting is invalid, or needs stable-baselines3.
     """
-    if mlflow:
-        raise ValueError(f"mlflow: {FAST} logs to updates.csv only: leave it out, or {REMEDY}")
     with contextlib.closing(make_slots(config, DroneSlots)) as env:
-        learn_in_segments(config, env, FastPPO(config, env), store, progress, note)
+        learn_in_segments(config, env, FastPPO(config, env), store, progress, note, log)
 
 
 class FastPPO:
@@ -306,9 +303,6 @@ class FastPPO:
         if self._bounds is not None:
             named["train/std"] = float(np.exp(self.named_weights()["log_std"]).mean())
         return named
-
-    def log(self, values: Mapping[str, float]) -> None:
-        """Do nothing: the curve and the updates are stored in the folder of the run."""
 
     def save(self, folder: Path) -> None:
         """Write a checkpoint.

@@ -13,7 +13,7 @@ References:
 
 import contextlib
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +23,7 @@ from bulletuav.adapters.slots import DroneSlots, Info
 from bulletuav.errors import require_available_memory
 from bulletuav.policies.neural_network import HIGH, LOW, read_weights, write_weights
 from bulletuav.policies.recurrent import LIMIT, NUM_INPUTS, NUM_ROTORS, SCALE
-from bulletuav.policies.run import FOUNDATION, POLICY, RunConfig
+from bulletuav.policies.run import POLICY, RunConfig
 from bulletuav.sensors.imu import MAX_BODY_RATE
 from bulletuav.training.foundation.airframes import draw_airframe
 from bulletuav.training.foundation.gru import (
@@ -44,6 +44,7 @@ from bulletuav.training.foundation.teacher import (
 )
 from bulletuav.training.segments import Note, Progress, learn_in_segments, make_slots
 from bulletuav.training.store import TRAINING, Store
+from bulletuav.training.trackers import Log
 from bulletuav.vehicle.airframe import Airframe
 
 INPUT_LIMIT = (REACH,) * 3 + (5.0,) * 3 + (1.0,) * 3 + (20.0,) * 3 + (1.0,) * NUM_ROTORS
@@ -59,7 +60,7 @@ TAUGHT = 0.05
 
 
 def learn_foundation(
-    config: RunConfig, store: Store, progress: Progress, note: Note, mlflow: bool
+    config: RunConfig, store: Store, progress: Progress, note: Note, log: Log
 ) -> None:
     """Train until all steps are done.
 
@@ -68,16 +69,14 @@ def learn_foundation(
         store: Storage of the run; if it has rows, the last checkpoint is restored.
         progress: Called with the number of finished steps.
         note: Called with a text when episodes end.
-        mlflow: Must be False.
+        log: Called with the statistics of updates, and with the rows of the curve.
 
     Raises:
         ValueError: If a setting is invalid.
     """
-    if mlflow:
-        raise ValueError(f"mlflow: {FOUNDATION} logs to updates.csv only: leave it out")
     check_foundation_settings(config)
     with contextlib.closing(make_slots(config, AirframeSlots)) as env:
-        learn_in_segments(config, env, Student(config, env), store, progress, note)
+        learn_in_segments(config, env, Student(config, env), store, progress, note, log)
 
 
 class AirframeSlots(DroneSlots):
@@ -231,9 +230,6 @@ class Student:
     def statistics(self) -> dict[str, float]:
         """Return the mean squared error of the actions in the last update."""
         return {"train/loss": self._loss}
-
-    def log(self, values: Mapping[str, float]) -> None:
-        """Do nothing: the curve and the updates are stored in the folder of the run."""
 
     def save(self, folder: Path) -> None:
         """Write a checkpoint.
