@@ -8,7 +8,8 @@ has the largest mean safe success in new episodes of the levels `DECIDING`, whic
 table shows: the few episodes of a curve would mistake luck for skill. It is put into the package if
 it is better than `stay`, and at least as good as the policy which the package has. The policies of
 the tasks are then flown in all levels beside `stay` and the baseline, in episodes which decided
-nothing, for the page docs/benchmarks/trained_policies.md; rows of other tasks stay.
+nothing. The scores are written beside the policy, which warns of levels where it is not better than
+`stay`, and into the page docs/benchmarks/trained_policies.md.
 
 With `--table`, only flies the policies that are in the package. A repeated call continues, and
 trains no finished run again.
@@ -17,7 +18,7 @@ trains no finished run again.
 import argparse
 import re
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -37,7 +38,9 @@ from bulletuav.policies.run import (
     SHIPPED,
     RunConfig,
     shipped_tasks,
+    write_settings,
 )
+from bulletuav.policies.scores import SCORES, read_scores, show
 from bulletuav.tasks import find_task
 from bulletuav.training.schedules import default_run
 from bulletuav.training.store import EVALUATION_SEED
@@ -70,7 +73,7 @@ SETTINGS = (
     "observes",
     "seeds: safe success; training time",
 )
-SCORES = ("task", "difficulty", "`trained`", "`stay`", "baseline", "episodes")
+SCORES_HEAD = ("task", "difficulty", "`trained`", "`stay`", "baseline", "episodes")
 
 
 def train_seed(task: str, seed: int, folder: Path) -> Path:
@@ -129,6 +132,8 @@ def ship_best(task: str, runs: Sequence[Path], episodes: int) -> bool:
             print(f"{task}: the policy in the package is kept")
             return False
     place = SHIPPED / task
+    # Those of the policy before
+    (place / SCORES).unlink(missing_ok=True)
     for name in (POLICY, f"{CHECKPOINTS}/000/{POLICY}"):
         (place / name).parent.mkdir(parents=True, exist_ok=True)
         write_weights(actor_weights(runs[best] / name), place / name)
@@ -175,25 +180,27 @@ def settings_row(task: str) -> str:
     return line(cells)
 
 
-def score_rows(task: str, levels: Iterable[str], episodes: int) -> list[str]:
-    """Fly the policy of the package, `stay` and the baseline; return a row for each level."""
-    baseline = find_task(task).baseline
-    mark = " \\*" if find_policy(baseline, task).reads_swarm else ""
-    rows = []
+def measure(task: str, levels: Iterable[str], episodes: int) -> None:
+    """Fly the policy of the package, `stay` and the baseline, and write their scores beside it."""
+    scores = dict(read_scores(task))
     for level in levels:
-        flown = [
-            show(fly(task, policy, level, episodes, TABLE_SEED))
-            for policy in ("trained", "stay", baseline)
-        ]
-        flown[-1] = f"{flown[-1]} `{baseline}`{mark}"
-        rows.append(line((f"`{task}`", level, *flown, str(episodes))))
-        print(rows[-1], flush=True)
-    return rows
+        score: dict[str, Any] = {"episodes": episodes}
+        for policy in ("trained", "stay", find_task(task).baseline):
+            found = fly(task, policy, level, episodes, TABLE_SEED)
+            score[policy] = [round(end, 3) for end in (found.mean, found.low, found.high)]
+        scores[level] = score
+        print(score_row(task, level, score), flush=True)
+        kept = {name: scores[name] for name in LEVELS if name in scores}
+        replace_file(SHIPPED / task / SCORES, write_settings(kept))
 
 
-def show(found: Estimate) -> str:
-    """Format an estimate with its interval."""
-    return f"{found.mean:.2f} [{found.low:.2f}, {found.high:.2f}]"
+def score_row(task: str, level: str, score: Mapping[str, Any]) -> str:
+    """Return the row of the table of scores for a level of a task."""
+    baseline = list(score)[-1]
+    mark = " \\*" if find_policy(baseline, task).reads_swarm else ""
+    trained, stay, other = (show(score[name]) for name in ("trained", "stay", baseline))
+    cells = (f"`{task}`", level, trained, stay, f"{other} `{baseline}`{mark}")
+    return line((*cells, str(score["episodes"])))
 
 
 def line(cells: Sequence[str]) -> str:
@@ -201,18 +208,17 @@ def line(cells: Sequence[str]) -> str:
     return f"| {' | '.join(cells)} |"
 
 
-def write_page(rows: Sequence[str], page: Path) -> None:
-    """Write the page: settings of all policies in the package, new rows, and rows of other tasks.
+def write_page(page: Path) -> None:
+    """Write the page: settings and scores of all policies in the package.
 
     Args:
-        rows: New rows of scores.
         page: Path of the page.
     """
-    old = page.read_text().splitlines() if page.exists() else []
-    levels = {f"| {level} |" for level in LEVELS}
-    known = {row_key(row): row for row in old if any(level in row for level in levels)}
-    known |= {row_key(row): row for row in rows}
-    kept = [known[key] for key in sorted(known) if key[0].strip("`") in shipped_tasks()]
+    scores = [
+        score_row(task, level, score)
+        for task in shipped_tasks()
+        for level, score in read_scores(task).items()
+    ]
     text = "\n".join(
         [
             INTRODUCTION,
@@ -224,18 +230,13 @@ def write_page(rows: Sequence[str], page: Path) -> None:
             "Fraction of drones which succeed without conflict or collision, with its 95 %",
             "confidence interval, in the default dynamics of the task. Episodes have seeds from",
             f"{TABLE_SEED:,} on. Baselines marked \\* read the true state.",
+            "`--policy trained` warns where the interval of `trained` is not above that of `stay`.",
             "",
-            *(line(SCORES), "|---" * len(SCORES) + "|"),
-            *kept,
+            *(line(SCORES_HEAD), "|---" * len(SCORES_HEAD) + "|"),
+            *scores,
         ]
     )
     replace_file(page, f"{text}\n")
-
-
-def row_key(row: str) -> tuple[str, int]:
-    """Return task and level of a row of scores."""
-    task, level = (cell.strip() for cell in row.split("|")[1:3])
-    return task, LEVELS.index(level)
 
 
 def main() -> None:
@@ -257,7 +258,8 @@ def main() -> None:
             runs = [train_seed(task, seed, given.out) for seed in given.seeds]
             ship_best(task, runs, given.episodes)
         if task in shipped_tasks():
-            write_page(score_rows(task, given.levels, given.episodes), PAGE)
+            measure(task, given.levels, given.episodes)
+            write_page(PAGE)
 
 
 if __name__ == "__main__":

@@ -26,6 +26,7 @@ from bulletuav.policies.run import (
     RunConfig,
     shipped,
 )
+from bulletuav.policies.scores import warn_of_difficulty
 from bulletuav.policies.trained import TRUST, SharedPolicy, Trained, actions_given
 from bulletuav.policies.versus import (
     VERSUS,
@@ -243,8 +244,18 @@ def _from_package(name: str, task: TaskSource | None, trust: bool) -> PolicySpec
         return _from_run(SHIPPED / FOUNDATION, name, trust, task)
     if task is None:
         raise ValueError(f"policy {name!r} is another one in each task: say which task")
-    run = shipped(find_task(task).name)
-    return _from_run(run if name == "trained" else run / CHECKPOINTS / "000", name, trust, task)
+    own = find_task(task).name
+    run = shipped(own)
+    if name == "untrained":
+        return _from_run(run / CHECKPOINTS / "000", name, trust, task)
+    spec = _from_run(run, name, trust, task)
+
+    def make(aviary: Aviary) -> Policy:
+        policy = spec.make(aviary)
+        warn_of_difficulty(own, aviary.options.difficulty)
+        return policy
+
+    return spec._replace(make=make)
 
 
 def config_file(folder: Path) -> Path:

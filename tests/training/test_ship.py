@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 
 from bulletuav.policies import run as run_module
+from bulletuav.policies import scores as scores_module
 from bulletuav.policies.neural_network import read_weights
 from bulletuav.policies.run import CONFIG, FAST, POLICY, RunConfig
+from bulletuav.policies.scores import read_scores
 
 ACTED = re.compile(r"action|mlp_extractor\.policy_net")
 SMALL = RunConfig(
@@ -33,8 +35,8 @@ def ship(tmp_path, monkeypatch):
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     # An empty package, and a short training
-    monkeypatch.setattr(run_module, "SHIPPED", tmp_path / "package")
-    monkeypatch.setattr(module, "SHIPPED", tmp_path / "package")
+    for one in (run_module, scores_module, module):
+        monkeypatch.setattr(one, "SHIPPED", tmp_path / "package")
     monkeypatch.setattr(module, "default_run", lambda task, algo: dataclasses.replace(SMALL))
     return module
 
@@ -79,21 +81,26 @@ def test_a_policy_that_is_not_better_stays_out(
     assert ((place / CONFIG).read_text() != before) == is_better
 
 
-def test_the_page_keeps_rows_of_other_tasks(ship, tmp_path, monkeypatch):
+def test_scores_are_written_beside_the_policy_and_into_the_page(ship, tmp_path, monkeypatch):
     run = ship.train_seed("hover", 0, tmp_path / "runs")
     monkeypatch.setattr(ship, "decide", lambda task, policy, *of: float(policy == run))
     assert ship.ship_best("hover", [run], 2)
-    rows = ship.score_rows("hover", ["easy"], 1)
-    assert rows[0].startswith("| `hover` | easy | 0.00 [0.00, ")
-    assert rows[0].endswith(" \\* | 1 |")  # the baseline reads the true state
+    ship.measure("hover", ["hard"], 1)
+    ship.measure("hover", ["easy"], 1)
+    path = tmp_path / "package" / "hover" / "scores.yaml"
+    scores = read_scores("hover")
+    assert list(scores) == ["easy", "hard"]
+    assert list(scores["easy"]) == ["episodes", "trained", "stay", "straight"]
     page = tmp_path / "page.md"
-    ship.write_page(rows, page)
-    ship.write_page(["| `hover` | hard | 1 | 2 | 3 | 4 |"], page)
-    ship.write_page(["| `hover` | easy | 5 | 6 | 7 | 8 |"], page)
+    ship.write_page(page)
     lines = page.read_text().splitlines()
-    assert lines[-2:] == [
-        "| `hover` | easy | 5 | 6 | 7 | 8 |",
-        "| `hover` | hard | 1 | 2 | 3 | 4 |",
-    ]
+    low, high = scores["easy"]["trained"][1:]
+    assert lines[-2].startswith(f"| `hover` | easy | 0.00 [{low:.2f}, {high:.2f}] | ")
+    assert lines[-2].endswith("`straight` \\* | 1 |")  # the baseline reads the true state
+    assert lines[-1].startswith("| `hover` | hard | ")
     assert any("difficulty medium, dynamics rigid_body" in line for line in lines)
     assert max(map(len, lines)) <= 240
+    # Another policy has not been measured
+    monkeypatch.setattr(ship, "decide", lambda task, policy, *of: float(policy != "stay"))
+    assert ship.ship_best("hover", [run], 2)
+    assert not path.exists()
