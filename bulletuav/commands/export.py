@@ -10,10 +10,12 @@ import numpy as np
 
 from bulletuav.adapters.c_source import PRECISIONS, find_compiler, run_c, write_c
 from bulletuav.adapters.deployed import Deployed, deployed
+from bulletuav.adapters.hub import write_hub
 from bulletuav.analysis.recorded import Recording
 from bulletuav.analysis.recording import REMEDY
 from bulletuav.commands.output import print_files
 from bulletuav.errors import find_choice, reason_of
+from bulletuav.policies.run import shipped, shipped_tasks
 from bulletuav.report.figures import drone_colours
 from bulletuav.report.replay import read_run
 
@@ -72,13 +74,18 @@ POLICIES: dict[str, tuple[str, Callable[[Deployed, Path, str], tuple[list[Path],
 
 A writer returns the files and the maximum difference of setpoints.
 """
+HUB = "hub"
+"""Format of folders for the Hugging Face Hub, and the name of such a folder in that of the run"""
 AGREEMENT = 1e-6
 """Maximum difference of setpoints in double precision, in their units"""
 
 
 def run(arguments: argparse.Namespace) -> None:
     """Write the file of a flight or a policy."""
-    find_choice("format", arguments.to, {**FORMATS, **POLICIES})
+    find_choice("format", arguments.to, {**FORMATS, **POLICIES, HUB: None})
+    if arguments.to == HUB:
+        _export_to_hub(arguments)
+        return
     if arguments.to in POLICIES:
         _export_policy(arguments)
         return
@@ -94,6 +101,19 @@ def run(arguments: argparse.Namespace) -> None:
     path = arguments.out or folder / name
     write(recording, path)
     print_files([path])
+
+
+def _export_to_hub(arguments: argparse.Namespace) -> None:
+    """Write the folder of a policy and its environment for the Hugging Face Hub."""
+    for name in ("precision", "airframe"):
+        if getattr(arguments, name) is not None:
+            raise ValueError(f"--{name} is for the formats {', '.join(POLICIES)}: leave it out")
+    run = arguments.run
+    if not run.exists() and str(run) in shipped_tasks():
+        run = shipped(str(run))
+        if arguments.out is None:
+            raise ValueError(f"--out is missing: say where the policy for {run.name} goes")
+    print_files(write_hub(run, arguments.out or run / HUB, arguments.trust))
 
 
 def _export_policy(arguments: argparse.Namespace) -> None:

@@ -122,7 +122,7 @@ def test_a_flight_in_a_city_is_written_for_rerun(tmp_path):
 
 def test_unknown_formats_are_refused_with_the_nearest(run, capsys):
     assert "unknown format 'mcpa': did you mean 'mcap'?" in refused([run, "--to", "mcpa"], capsys)
-    assert "choose from c, mcap, onnx, rerun" in refused([run, "--to", "zzz"], capsys)
+    assert "choose from c, hub, mcap, onnx, rerun" in refused([run, "--to", "zzz"], capsys)
     assert "--to" in refused([run], capsys)
 
 
