@@ -135,7 +135,7 @@ def test_crossing_is_learned_within_the_default_budget(tmp_path):
     """A few minutes of one core."""
     run = default_run("crossing")
     changes = {"evaluations": 2, "evaluation": {"dynamics": "point_mass"}}
-    rows = train(RunConfig(**{**vars(run), **changes}), tmp_path)
+    rows = train(dataclasses.replace(run, **changes), tmp_path)
     assert rows[0]["safe_success"] == 0
     assert rows[-1]["safe_success"] >= 0.9
 
