@@ -184,6 +184,7 @@ FAST_OWN: dict[str, dict[str, Any]] = {
         "options": {
             # Policies of point_mass swing around their stations in other dynamics
             "dynamics": "rigid_body",
+            "difficulty": "hard",
             "observation": ["goal_offset", "velocity", "goal_velocity"],
             "max_distance": 15.0,
             "weights": {"alive": 0.6, "holding": 0.3, "distance": -0.05, "speed": -0.02},
@@ -197,7 +198,8 @@ FAST_OWN: dict[str, dict[str, Any]] = {
             "policy_kwargs": {
                 "net_arch": [32, 32],
                 "log_std_init": -1.5,
-                "features_extractor_kwargs": {"scale": 3.0},
+                # Nearly linear, so that the policy flies at other speeds of the target, too
+                "features_extractor_kwargs": {"scale": 0.2},
             },
         },
     },
