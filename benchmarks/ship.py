@@ -88,14 +88,16 @@ def train_seed(task: str, seed: int, folder: Path) -> Path:
 
 def fly(task: str, policy: str | Path, level: str, episodes: int, seed: int) -> Estimate:
     """Estimate the safe success of a policy at a difficulty, in the default dynamics."""
-    options = evaluation_options(task) if task in shipped_tasks() else {}
-    result = evaluate(task, policy, episodes, seed, **{**options, "difficulty": level})
-    return result.estimates()["safe_success"]
+    options = {**evaluation_options(task, policy), "difficulty": level}
+    return evaluate(task, policy, episodes, seed, **options).estimates()["safe_success"]
 
 
-def evaluation_options(task: str) -> dict[str, Any]:
-    """Return the options of evaluations which a policy of the package needs, such as a horizon."""
-    return dict(RunConfig.read(SHIPPED / task / CONFIG).evaluation)
+def evaluation_options(task: str, policy: str | Path) -> dict[str, Any]:
+    """Return the options of evaluations which a trained policy needs, such as a horizon."""
+    if policy != "trained" and not isinstance(policy, Path):
+        return {}
+    run = SHIPPED / task if policy == "trained" else Path(policy)
+    return dict(RunConfig.read(run / CONFIG).evaluation)
 
 
 def decide(task: str, policy: str | Path, episodes: int, levels: Sequence[str] = DECIDING) -> float:

@@ -81,6 +81,18 @@ def test_a_policy_that_is_not_better_stays_out(
     assert ((place / CONFIG).read_text() != before) == is_better
 
 
+def test_only_trained_policies_fly_with_the_options_of_their_evaluations(
+    ship, tmp_path, monkeypatch
+):
+    """Their decisions may be slower, and `stay` and baselines have those of the task."""
+    run = ship.train_seed("hover", 0, tmp_path / "runs")
+    monkeypatch.setattr(ship, "decide", lambda task, policy, *of: float(policy == run))
+    assert ship.ship_best("hover", [run], 2)
+    assert ship.evaluation_options("hover", "trained") == {"horizon": 5}
+    assert ship.evaluation_options("hover", run) == {"horizon": 5}
+    assert ship.evaluation_options("hover", "stay") == {}
+
+
 def test_scores_are_written_beside_the_policy_and_into_the_page(ship, tmp_path, monkeypatch):
     run = ship.train_seed("hover", 0, tmp_path / "runs")
     monkeypatch.setattr(ship, "decide", lambda task, policy, *of: float(policy == run))
