@@ -198,7 +198,7 @@ FAST_OWN: dict[str, dict[str, Any]] = {
             "policy_kwargs": {
                 "net_arch": [32, 32],
                 "log_std_init": -1.5,
-                # Nearly linear, so that the policy flies at other speeds of the target, too
+                # Closer to linear, so that the policy flies at other speeds of the target, too
                 "features_extractor_kwargs": {"scale": 0.2},
             },
         },
