@@ -77,14 +77,16 @@ class HighLevelCommander:
             SetpointLevel.ACCELERATION, (*numbers, math.remainder(yaw, math.tau))
         )
 
-    def target(self, now: float) -> list[float] | None:
-        """Return the planned position (3,) at a time, m, or None without a plan."""
+    def target(self, now: float) -> tuple[np.ndarray, np.ndarray] | None:
+        """Return planned position (3,), m, and velocity (3,), m/s, at a time; None without a plan.
+
+        Args:
+            now: The time, s.
+        """
         if self._tracker is None:
             return None
-        position: list[float] = self._tracker.trajectory.at(
-            now - self._start_time
-        ).position.tolist()
-        return position
+        point = self._tracker.trajectory.at(now - self._start_time)
+        return point.position, point.velocity
 
     def handle_command(self, data: bytes, state: State, now: float) -> Errno:
         """Handle a command.

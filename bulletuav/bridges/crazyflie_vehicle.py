@@ -4,9 +4,10 @@ from collections.abc import Callable
 from enum import IntFlag
 
 from bulletuav.bridges.crazyflie_high_level import HighLevelCommander
+from bulletuav.bridges.crazyflie_policy import OUT_OF_TREE, FoundationController, Target
 from bulletuav.bridges.crazyflie_services import CrtpParameterService, LogService, MemoryService
 from bulletuav.bridges.crazyflie_setpoints import Commander, ThrustMap
-from bulletuav.bridges.crazyflie_toc import Telemetry
+from bulletuav.bridges.crazyflie_toc import PARAMETERS, Telemetry
 from bulletuav.bridges.crtp import (
     MAX_DATA_SIZE,
     PROTOCOL_VERSION,
@@ -17,7 +18,7 @@ from bulletuav.bridges.crtp import (
     pack_data,
     unpack_data,
 )
-from bulletuav.bridges.setpoints import AirspaceCommand, SetpointController, State
+from bulletuav.bridges.setpoints import AirspaceCommand, Setpoint, SetpointController, State
 from bulletuav.vehicle.airframe import Airframe
 
 LINK_NAME = b"Bitcraze Crazyflie"
@@ -28,6 +29,8 @@ WATCHDOG_TIMEOUT = 1.0
 """Maximum time between packets of the emergency-stop watchdog, after the first of them, s"""
 MOTION_COMMANDS = (7, 8, 11, 12, 13)
 """Commands of the high-level commander that move the drone"""
+CONTROLLER = "stabilizer.controller"
+"""Parameter that selects the controller"""
 MIN_FLYING_SPEED_FRACTION = 0.1
 """Fraction of the maximum rotor speed above which a drone counts as flying"""
 
@@ -76,6 +79,7 @@ class CrazyflieVehicle:
         self._thrust_map, self._guide = ThrustMap(airframe), SetpointController(airframe)
         self._commander = Commander(self._thrust_map)
         self._high_level = HighLevelCommander(airframe, self._memory.content)
+        self._policy: FoundationController | None = None
         self._is_armed, self._is_locked, self._is_crashed = True, False, False
         self._last_upright_time, self._now = 0.0, 0.0
         self._watchdog_time: float | None = None
@@ -153,19 +157,31 @@ class CrazyflieVehicle:
         Args:
             period: Duration of the step, s.
         """
+        command, setpoint = self._follow_commanders(period)
+        if self._policy is None:
+            return command
+        target: Target | None
+        if setpoint is None:
+            target = self._high_level.target(self._now)
+        else:
+            target = (*setpoint.xy, setpoint.z), setpoint.feedforward[:3]
+        return self._policy.compute_command(command, target, self._state)
+
+    def _follow_commanders(self, period: float) -> tuple[AirspaceCommand | None, Setpoint | None]:
+        """Return the command of the commander in control, and the low-level setpoint if any."""
         setpoint = self._commander.current(self._now)
         if not self._can_fly:
             self._commander.clear()
             self._high_level.stop()
-            return None
+            return None, None
         if self._high_level.has_plan and (setpoint is None or self._commander.is_released):
             self._commander.clear()
             self._guide.reset()
-            return self._high_level.order(self._state, self._now)
+            return self._high_level.order(self._state, self._now), None
         if setpoint is None or (setpoint.z_mode == "thrust" and setpoint.z == 0):
             self._guide.reset()
-            return None
-        return self._guide.compute_command(setpoint, self._state, period)
+            return None, None
+        return self._guide.compute_command(setpoint, self._state, period), setpoint
 
     def telemetry(self, pressure: Callable[[float], float]) -> Telemetry:
         """Return the present values of all log variables.
@@ -174,7 +190,8 @@ class CrazyflieVehicle:
             pressure: Function that returns the air pressure (Pa) at a height (m).
         """
         max_speed = self._airframe.max_rotor_speed
-        target = self._high_level.target(self._now) or self._state[0]
+        plan = self._high_level.target(self._now)
+        target = self._state[0] if plan is None else plan[0].tolist()
         return Telemetry(
             self._state,
             self._acceleration,
@@ -206,7 +223,9 @@ class CrazyflieVehicle:
         if packet.port == CrtpPort.LOG:
             return self.logs.answer(packet, tick)
         if packet.port == CrtpPort.PARAM:
-            return self.parameters.answer(packet)
+            answers = self.parameters.answer(packet)
+            self._select_controller()
+            return answers
         if packet.port == CrtpPort.MEM:
             return self._memory.answer(packet)
         if packet.port in (CrtpPort.SETPOINT, CrtpPort.SETPOINT_GENERIC):
@@ -227,6 +246,18 @@ class CrazyflieVehicle:
             return self._handle_link(packet)
         # External positions (localization port) are ignored: the drone knows its position
         return []
+
+    def _select_controller(self) -> None:
+        """Start or end the policy by the parameter; an airframe that it cannot fly resets both."""
+        values = self.parameters.values
+        if values[CONTROLLER] != OUT_OF_TREE:
+            self._policy = None
+        elif self._policy is None:
+            try:
+                self._policy = FoundationController(self._airframe)
+            except ValueError as error:
+                values[CONTROLLER] = PARAMETERS[CONTROLLER].value
+                self.refusal = f"{CONTROLLER} is {OUT_OF_TREE}: {error}"
 
     @property
     def _blocking_reason(self) -> str:

@@ -1,5 +1,7 @@
 """A client of virtual Crazyflies, of bytes alone: nothing of the server's code is used."""
 
+import itertools
+import math
 import struct
 
 
@@ -45,6 +47,18 @@ class Drone:
     def attitude(self, roll, pitch, yaw_rate, thrust):
         """As cflib sends it, which turns the pitch around."""
         assert self.ask(3, 0, struct.pack("<fffH", roll, -pitch, yaw_rate, thrust)) == []
+
+    def swing(self):
+        """Returns a function that sends full states of a swing of 1 m along x, 10 ms apart."""
+        clock = itertools.count()
+
+        def send():
+            t = next(clock) / 100
+            x, v, a = 0.5 * (1 - math.cos(t)), 0.5 * math.sin(t), 0.5 * math.cos(t)
+            mm = [int(1000 * one) for one in (x, 0, 1, v, 0, 0, a, 0, 0)]
+            self.setpoint(6, "9hI3h", *mm, 3 << 30, 0, 0, 0)
+
+        return send
 
     def bits(self):
         return struct.unpack("<BH", self.data(9, 0, b"\x0c"))[1]

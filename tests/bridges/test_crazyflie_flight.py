@@ -247,15 +247,7 @@ def test_roll_and_pitch_can_be_rates(drone, fly):
 
 def test_a_full_state_is_followed_with_its_motion(drone, fly):
     in_the_air(drone)
-    clock = iter(np.arange(0, 10, 0.01))
-
-    def ahead():
-        t = next(clock)
-        x, v, a = 0.5 * (1 - math.cos(t)), 0.5 * math.sin(t), 0.5 * math.cos(t)
-        mm = [int(1000 * one) for one in (x, 0, 1, v, 0, 0, a, 0, 0)]
-        drone.setpoint(6, "9hI3h", *mm, 3 << 30, 0, 0, 0)
-
-    fly(drone.fleet, 3.0, ahead)
+    fly(drone.fleet, 3.0, drone.swing())
     np.testing.assert_allclose(drone.place, (0.5 * (1 - math.cos(3)), 0, 1), atol=0.06)
     assert drone.velocity[0] == pytest.approx(0.5 * math.sin(3), abs=0.1)
 
