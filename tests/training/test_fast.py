@@ -3,7 +3,6 @@
 import dataclasses
 import itertools
 import os
-import signal
 import subprocess
 import sys
 
@@ -471,23 +470,6 @@ def test_a_policy_of_choices_is_exported(tmp_path):
         source, _ = c_source.write_c(policy, tmp_path / "pilot.c", "double")
         given = c_source.run_c(source, rows, policy, "double")
         np.testing.assert_allclose(given, policy.act(rows), atol=1e-6)
-
-
-def test_a_killed_run_goes_on_to_the_same_weights(run, tmp_path):
-    (tmp_path / "run.yaml").write_text(config().text())
-    code = (
-        "import sys; from pathlib import Path; from bulletuav.policies.run import RunConfig\n"
-        "from bulletuav.training.trainer import train\n"
-        "import os, signal\n"
-        "def progress(done):\n"
-        "    if done > 250: os.kill(os.getpid(), signal.SIGKILL)\n"
-        "train(RunConfig.read(Path(sys.argv[1])), Path(sys.argv[2]), progress)\n"
-    )
-    out = tmp_path / "out"
-    command = [sys.executable, "-c", code, str(tmp_path / "run.yaml"), str(out)]
-    assert subprocess.run(command, check=False).returncode == -signal.SIGKILL
-    train(config(), out)
-    np.testing.assert_array_equal(weights(out), weights(run[0]))
 
 
 def test_a_damaged_checkpoint_is_refused(run, tmp_path):
