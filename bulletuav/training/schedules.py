@@ -295,6 +295,7 @@ FAST_OWN: dict[str, dict[str, Any]] = {
         },
         "model": {"n_steps": 64, "gamma": 0.985},
     },
+    "mec": {**FAST_SERVICE, "steps": 800_000},
     "mec_advanced": FAST_SERVICE,
     "mobile_users": FAST_SERVICE,
     "pursuit_evasion": {"steps": 1_500_000, "evaluations": 2, "episodes": 10},
