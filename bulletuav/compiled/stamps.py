@@ -43,6 +43,7 @@ def stamp_of(file: str) -> str:
     return digest.hexdigest()[:16]
 
 
+@functools.cache
 def _name(file: str) -> str:
     """Name a file, independent of the folder of the package."""
     path = Path(file)
