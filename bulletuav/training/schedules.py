@@ -236,6 +236,47 @@ FAST_OWN: dict[str, dict[str, Any]] = {
         "options": {"difficulty": "medium", "num_drones": [3, 5], "num_neighbours": 2},
     },
     "obstacles": {"steps": 1_000_000, "options": {"difficulty": "medium", "num_drones": [4, 12]}},
+    "pad_landing": {
+        "steps": 5_000_000,
+        "worlds": 48,
+        "evaluations": 2,
+        "episodes": 10,
+        "staggered": True,
+        "options": {
+            "dynamics": "rigid_body",
+            "num_drones": 3,
+            # The nearest unclaimed pad is the goal, which pictures would have to show otherwise
+            "observation": ["velocity", "goal_offset", "goal_velocity", "neighbours"],
+            # Above the task's 0.4 m, as in `WIDE`
+            "d_safe": 0.6,
+            "weights": {
+                "progress": 0.6,
+                "touching": 0.15,
+                "waiting": -0.001,
+                "conflict": -3.0,
+                "collision": -1.5,
+            },
+        },
+        # Down to a pad nearby at first
+        "stages": [
+            {"distance": 2.0, "start_height": [1.5, 3.0], "pad_height": [0.2, 1.0]},
+            {"distance": 4.0},
+            {},
+            {"difficulty": "medium", "num_drones": 3},
+        ],
+        "curriculum": {"up": 0.4, "down": 0.0, "window": 200},
+        "model": {
+            "features": "swarm",
+            "n_steps": 128,
+            "gamma": 0.995,
+            "gae_lambda": 0.97,
+            "policy_kwargs": {
+                "net_arch": [64, 64],
+                "log_std_init": -1.0,
+                "features_extractor_kwargs": {"scale": 3.0, "size": 16},
+            },
+        },
+    },
     "pursuit": {
         "steps": 1_000_000,
         "options": {
@@ -336,6 +377,47 @@ FAST_OWN: dict[str, dict[str, Any]] = {
             "n_steps": 64,
             "gamma": 0.985,
             "policy_kwargs": {"net_arch": [64, 64], "log_std_init": -1.6},
+        },
+    },
+    "transport": {
+        "steps": 2_800_000,
+        "worlds": 64,
+        "evaluations": 2,
+        "episodes": 5,
+        "staggered": True,
+        "options": {
+            # Numbers of the own cable and the load, which do not depend on the number of drones
+            "observation": ["velocity", "cable", "load_goal_offset", "load"],
+            # A price of time would be due when a lift fails, and discounted when drones only hover
+            "weights": {
+                "progress": 1.0,
+                "delivery": 5.0,
+                "early": 5.0,
+                "swing": 0.0,
+                "drag": -0.1,
+                "waiting": 0.0,
+                "failure": -0.2,
+                "conflict": -1.0,
+                "collision": -0.3,
+            },
+        },
+        "stages": [
+            {"num_drones": 1, "distance": [1.0, 2.0], "place_radius": 0.4},
+            {"num_drones": 2, "distance": [1.0, 2.0], "place_radius": 0.4},
+            {"num_drones": 2, "distance": [2.0, 6.0], "place_radius": 0.3},
+            {"difficulty": "medium"},
+            # Smaller places than the task's, so that drones seldom miss those
+            {"difficulty": "medium", "distance": [2.0, 9.0], "place_radius": 0.14},
+        ],
+        "curriculum": {"up": 0.5, "down": 0.0, "window": 200},
+        "model": {
+            "features": "symlog",
+            "n_steps": 64,
+            "policy_kwargs": {
+                "net_arch": [64, 64],
+                "log_std_init": -1.2,
+                "features_extractor_kwargs": {"scale": 3.0},
+            },
         },
     },
 }

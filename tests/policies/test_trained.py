@@ -259,6 +259,24 @@ def test_a_policy_of_a_swarm_flies_with_other_numbers_of_neighbours_and_in_other
             assert np.isfinite(policy.act(observations, aviary.swarm)).all()
 
 
+@pytest.mark.parametrize("level", ["easy", "medium"])
+def test_the_policy_of_transport_sets_loads_down(level):
+    """Loads hang on one cable at easy, and on two at medium."""
+    flown = bulletuav.evaluate("transport", "trained", 3, 9_000_000, difficulty=level)
+    assert flown.estimates()["safe_success"].mean > 0.6
+
+
+def test_the_policy_of_transport_flies_with_other_numbers_of_drones():
+    pilot = find_policy("trained", "transport")
+    for drones in (1, 3):
+        aviary = bulletuav.Aviary("transport", 1, **{**pilot.options, "num_drones": drones})
+        with contextlib.closing(aviary):
+            policy, observations = pilot(aviary), aviary.reset(seeds=0)
+            actions = policy.act(observations, aviary.swarm)
+            assert actions.shape == (1, drones, 3)
+            assert np.isfinite(actions).all()
+
+
 def test_a_block_may_be_an_object_where_the_training_named_it(tmp_path):
     config = RunConfig("converge", "fast_ppo", options=CALM, model={"features": None})
     weights = {
