@@ -259,10 +259,13 @@ def test_a_policy_of_a_swarm_flies_with_other_numbers_of_neighbours_and_in_other
             assert np.isfinite(policy.act(observations, aviary.swarm)).all()
 
 
-@pytest.mark.parametrize("level", ["easy", "medium"])
-def test_the_policy_of_transport_sets_loads_down(level):
+@pytest.mark.parametrize(
+    ("task", "level"),
+    [("transport", "easy"), ("transport", "medium"), ("pad_landing", "easy")],
+)
+def test_policies_of_the_package_set_loads_down_and_land(task, level):
     """Loads hang on one cable at easy, and on two at medium."""
-    flown = bulletuav.evaluate("transport", "trained", 3, 9_000_000, difficulty=level)
+    flown = bulletuav.evaluate(task, "trained", 3, 9_000_000, difficulty=level)
     assert flown.estimates()["safe_success"].mean > 0.6
 
 
