@@ -177,6 +177,41 @@ FAST_OWN: dict[str, dict[str, Any]] = {
     "converge": {"options": {"difficulty": "medium", "num_drones": [4, 12], "d_safe": WIDE}},
     # With 7 m all of 20 seeds keep 5 m; with `WIDE` seven of ten
     "crossing": {"steps": 650_000, "options": {"d_safe": 7.0}},
+    "flocking": {
+        "steps": 3_000_000,
+        "worlds": 64,
+        "evaluations": 1,
+        "episodes": 2,
+        "options": {
+            "difficulty": "easy",
+            "num_drones": 8,
+            "dynamics": "rigid_body",
+            "observation": ["velocity", "goal_offset", "goal_velocity", "intruders"],
+            # Noise of actions is proportional to it
+            "max_speed": 12.0,
+            "d_safe": WIDE,
+            "warning_zone": 1.7,
+            # A price of the speed error would keep drones from catching up with the leader
+            "weights": {
+                "progress": 0.05,
+                "flocking": 0.3,
+                "alignment": 0.0,
+                "cohesion": 0.0,
+                "straying": -0.01,
+                "speed_error": 0.0,
+                "conflict": -6.0,
+                "warning": -0.15,
+                "out_of_bounds": -10.0,
+                "time": 0.0,
+            },
+        },
+        "model": {
+            "n_epochs": 5,
+            "gamma": 0.98,
+            "learning_rate": [3e-3, 1e-5],
+            "policy_kwargs": {"net_arch": [64, 64], "log_std_init": -1.5},
+        },
+    },
     "follow": {
         "steps": 700_000,
         "worlds": 64,
