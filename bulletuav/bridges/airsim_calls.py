@@ -5,12 +5,7 @@ from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 from bulletuav.bridges import airsim_states as states
-from bulletuav.bridges.airsim_images import (
-    ImageRequest,
-    get_camera_pose,
-    make_exposures,
-    make_response,
-)
+from bulletuav.bridges.airsim_images import ImageRequest, make_exposures, make_response
 from bulletuav.bridges.airsim_motions import MOTIONS
 from bulletuav.bridges.airsim_values import (
     check_duration,
@@ -20,7 +15,8 @@ from bulletuav.bridges.airsim_values import (
     read_vector,
     write_pose,
 )
-from bulletuav.bridges.airsim_world import AirsimVehicle, AirsimWorld, Collision
+from bulletuav.bridges.airsim_vehicle import AirsimVehicle, Collision
+from bulletuav.bridges.airsim_world import AirsimWorld
 from bulletuav.bridges.motions import DoneCallback
 from bulletuav.earth import ned_to_enu
 from bulletuav.errors import as_int, as_sequence, shown, unknown
@@ -45,12 +41,12 @@ class ImageCall(NamedTuple):
     """Parsed call for images.
 
     Attributes:
-        drone: Index of the drone that carries the cameras.
+        drone: Index of the drone that carries the cameras; None for cameras in the world.
         requests: Image requests, in order.
         is_list: Whether the result is a list of responses, or only the bytes of one image.
     """
 
-    drone: int
+    drone: int | None
     requests: list[ImageRequest]
     is_list: bool
 
@@ -75,7 +71,7 @@ class AirsimCalls:
             "simIsPaused": lambda: world.paused,
             # The world
             "listVehicles": lambda: list(world.vehicles),
-            "getSettingsString": lambda: "{}",
+            "getSettingsString": lambda: world.settings.text,
             "simSetWind": self._set_wind,
             # Control of a vehicle
             "enableApiControl": self._enable_api_control,
@@ -100,9 +96,10 @@ class AirsimCalls:
                     ("getBarometerData", states.barometer),
                     ("getMagnetometerData", states.magnetometer),
                     ("getGpsData", states.gps),
-                    ("getLidarData", states.lidar),
                 )
             },
+            "getLidarData": self._make_range_call(states.lidar),
+            "getDistanceSensorData": self._make_range_call(states.distance),
         }
 
     def list_names(self) -> list[str]:
@@ -192,6 +189,15 @@ class AirsimCalls:
 
         return call
 
+    def _make_range_call(self, read: Callable[..., Any]) -> Callable[[str, str], Any]:
+        """Return a call that reads a range finder of a vehicle by its name."""
+
+        def call(sensor_name: str = "", vehicle_name: str = "") -> Any:
+            check_text("sensor_name", sensor_name)
+            return read(self.world, *self.world.vehicle(vehicle_name), sensor_name)
+
+        return call
+
     def _pause(self, is_paused: bool) -> None:
         self.world.paused = check_flag("is_paused", is_paused)
 
@@ -269,8 +275,8 @@ class AirsimCalls:
         read = self._parse_one if name == "simGetImage" else self._parse_many
         _require_arguments(name, read, arguments)
         call: ImageCall = read(*arguments)
-        for camera in dict.fromkeys(request.camera for request in call.requests):
-            get_camera_pose(self.world, call.drone, camera)
+        # For the errors of the requests
+        make_exposures(self.world, call.drone, call.requests)
         return call
 
     def _parse_one(
@@ -278,29 +284,28 @@ class AirsimCalls:
     ) -> ImageCall:
         """Parse a call for one PNG.
 
-        In `extra`, AirSim's clients send whether the camera belongs to no vehicle, and
-        Cosys-AirSim's clients the name of an annotation. Neither is supported.
+        In `extra`, AirSim's clients send whether the camera stands in the world, and Cosys-AirSim's
+        clients the name of an annotation, which is not supported.
         """
-        if not (extra is None or extra is False or extra == ""):
-            raise ValueError(
-                f"external or annotation_name is {shown(extra)}: only cameras of vehicles are "
-                f"supported, without annotations; leave it out"
-            )
+        if not (extra is None or isinstance(extra, bool) or extra == ""):
+            raise ValueError(f"annotation_name is {shown(extra)}: leave it out")
         request = ImageRequest({"camera_name": camera, "image_type": image_type, "compress": True})
-        return ImageCall(self.world.vehicle(vehicle_name)[0], [request], False)
+        return ImageCall(self._carrier(vehicle_name, extra is True), [request], False)
 
     def _parse_many(
         self, requests: Any, vehicle_name: str = "", external: Any = False
     ) -> ImageCall:
-        """Parse a call for several images; cameras without a vehicle are not supported."""
-        if check_flag("external", external):
-            raise ValueError(
-                "external is True: only cameras of vehicles are supported; leave it out"
-            )
+        """Parse a call for several images."""
         image_requests = [
             ImageRequest(request) for request in as_sequence("requests", requests, most=MAX_IMAGES)
         ]
-        return ImageCall(self.world.vehicle(vehicle_name)[0], image_requests, True)
+        return ImageCall(self._carrier(vehicle_name, external), image_requests, True)
+
+    def _carrier(self, vehicle_name: Any, external: Any) -> int | None:
+        """Return the index of the vehicle that carries a camera; None for a camera in the world."""
+        if check_flag("external", external):
+            return None
+        return self.world.vehicle(vehicle_name)[0]
 
     def _draw_images(self, name: str, arguments: list[Any]) -> Any:
         """Render the images of a call in this process."""

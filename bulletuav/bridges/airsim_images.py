@@ -8,63 +8,23 @@ from typing import Any, NamedTuple
 import numpy as np
 from PIL import Image
 
+from bulletuav.bridges.airsim_cameras import SCENE, Camera, find_camera
 from bulletuav.bridges.airsim_values import check_flag, check_text, write_pose
 from bulletuav.bridges.airsim_world import AirsimWorld
-from bulletuav.errors import as_int, shown, unknown
-from bulletuav.geometry.rotation import Quat4, from_euler, product, to_world
+from bulletuav.errors import as_int, shown
 from bulletuav.geometry.view import CameraMatrices, Picture
 
-IMAGE_SIZE = (256, 144)
-"""Width and height, pixels, as in AirSim's default settings"""
-HORIZONTAL_FOV = math.radians(90)
-"""Horizontal field of view, rad"""
 MAX_GREY_DEPTH = 100.0
 """Depth that is white in grey-scale depth images, m"""
-SCENE, PLANAR, PERSPECTIVE, GREY, SEGMENTATION = 0, 1, 2, 3, 5
-"""Image types of AirSim: colour; depth along the view axis, along the pixel's ray, and as a
+PLANAR, PERSPECTIVE, GREY, SEGMENTATION = 1, 2, 3, 5
+"""Image types of AirSim besides `SCENE`: depth along the view axis, along the pixel's ray, and as a
 fraction of `MAX_GREY_DEPTH`; segmentation"""
 LABEL_COLOURS = np.array(
     [(135, 206, 235), (80, 120, 60), (150, 150, 150), (220, 60, 50), (60, 90, 220)], dtype=np.uint8
 )
 """RGB colours of the labels sky, land, building, obstacle, drone"""
-CAMERA_YAWS = {
-    "front_center": 0.0,
-    "front_right": -30.0,
-    "front_left": 30.0,
-    "bottom_center": None,
-    "back_center": 180.0,
-}
-"""Yaw of each camera, degrees counter-clockwise from forward; None for the camera that looks
-down"""
-CAMERA_NUMBERS = {str(k): name for k, name in enumerate(CAMERA_YAWS)}
-"""Names of the cameras by the numbers that older clients use"""
-
-
-def get_camera_pose(world: AirsimWorld, i: int, camera: str) -> tuple[np.ndarray, Quat4]:
-    """Return the pose of a camera on a drone.
-
-    Args:
-        world: The vehicles.
-        i: Index of the drone.
-        camera: Name or number of the camera.
-
-    Returns:
-        Position (3,), m, and quaternion x, y, z, w, both in body axes (FLU).
-
-    Raises:
-        ValueError: If there is no such camera.
-    """
-    name, airframe = CAMERA_NUMBERS.get(camera, camera), world.airspace.airframes[i]
-    if name not in CAMERA_YAWS:
-        raise unknown("camera", camera, [*CAMERA_YAWS, *CAMERA_NUMBERS])
-    yaw, radius = CAMERA_YAWS[name], airframe.collision_radius
-    if yaw is None:
-        # The top of the image points forward
-        return np.array((0.0, 0.0, -airframe.standing_height)), from_euler(0.0, math.pi / 2, 0.0)
-    angle = math.radians(yaw)
-    return np.array((radius * math.cos(angle), radius * math.sin(angle), 0.0)), from_euler(
-        0, 0, angle
-    )
+MAX_FLOATS = 1_500_000
+"""Maximum number of pixels of an image of floats, which take 9 bytes each"""
 
 
 class ImageRequest:
@@ -103,11 +63,13 @@ class CameraView(NamedTuple):
 
     Attributes:
         shot: Camera parameters for the renderer.
+        field_of_view: Horizontal field of view, rad.
         pose: Position and orientation of the camera in AirSim's format.
         time_stamp: Simulated time, ns.
     """
 
     shot: CameraMatrices
+    field_of_view: float
     pose: dict[str, Any]
     time_stamp: int
 
@@ -124,40 +86,52 @@ class Exposure(NamedTuple):
     view: CameraView
 
 
-def make_exposures(world: AirsimWorld, i: int, requests: Sequence[ImageRequest]) -> list[Exposure]:
+def make_exposures(
+    world: AirsimWorld, i: int | None, requests: Sequence[ImageRequest]
+) -> list[Exposure]:
     """Record the present views of cameras, to be rendered later.
 
     Args:
         world: The vehicles.
-        i: Index of the drone that carries the cameras.
+        i: Index of the drone that carries the cameras; None for cameras that stand in the world.
         requests: Image requests.
 
     Returns:
         One exposure for each request.
 
     Raises:
-        ValueError: If there is no such camera.
+        ValueError: If there is no such camera, or an image of floats is too large.
     """
-    cameras = dict.fromkeys(request.camera for request in requests)
-    views = {camera: _make_view(world, i, camera) for camera in cameras}
-    return [Exposure(request, views[request.camera]) for request in requests]
+    return [Exposure(request, _make_view(world, i, request)) for request in requests]
 
 
-def _make_view(world: AirsimWorld, i: int, camera: str) -> CameraView:
-    """Return the present view of a camera of drone `i`."""
-    offset, rotation = get_camera_pose(world, i, camera)
+def list_cameras(world: AirsimWorld, i: int | None) -> Mapping[str, Camera]:
+    """Return the cameras of a drone, or those that stand in the world, by name."""
+    return world.external_cameras if i is None else list(world.vehicles.values())[i].cameras
+
+
+def _make_view(world: AirsimWorld, i: int | None, request: ImageRequest) -> CameraView:
+    """Return the present view of a camera."""
+    camera = find_camera(list_cameras(world, i), request.camera)
+    size, view = camera.get_capture(request.kind)
+    width, height = size
+    if request.as_float and width * height > MAX_FLOATS:
+        raise ValueError(
+            f"pixels_as_float is true for {width} x {height} pixels: at most {MAX_FLOATS} floats "
+            f"are possible; make the image smaller in the settings file"
+        )
     # AirSim defines the horizontal field of view, the renderer the vertical one
-    width, height = IMAGE_SIZE
-    angle = math.degrees(2 * math.atan(math.tan(HORIZONTAL_FOV / 2) * height / width))
-    shot = world.airspace.shot(i, offset.tolist(), rotation, None, IMAGE_SIZE, angle)
+    angle = math.degrees(2 * math.atan(math.tan(view / 2) * height / width))
+    offset, rotation = camera.mount
+    shot = world.airspace.shot(i, offset.tolist(), rotation, None, size, angle)
     # AirSim's positions are relative to the start of the vehicle
-    swarm = world.airspace.swarm
-    attitude = swarm.quaternion[i]
-    start = list(world.vehicles.values())[i].start
-    position = swarm.position[i] + to_world(attitude, offset) - start
-    return CameraView(
-        shot, write_pose(position, product(attitude, rotation)), round(world.time * 1e9)
-    )
+    if i is None:
+        pose = write_pose(offset, rotation)
+    else:
+        swarm, vehicle = world.airspace.swarm, list(world.vehicles.values())[i]
+        position, attitude = camera.compute_pose(swarm.position[i], swarm.quaternion[i])
+        pose = write_pose(position - vehicle.start, attitude)
+    return CameraView(shot, view, pose, round(world.time * 1e9))
 
 
 def make_response(exposure: Exposure, picture: Picture) -> dict[str, Any]:
@@ -179,7 +153,7 @@ def make_response(exposure: Exposure, picture: Picture) -> dict[str, Any]:
         values = picture.depth
         # From depth along the view axis to distance along the ray of each pixel
         if request.kind == PERSPECTIVE:
-            values = values * _compute_ray_ratios()
+            values = values * _compute_ray_ratios(view)
         elif request.kind == GREY:
             values = np.clip(values / MAX_GREY_DEPTH, 0.0, 1.0)
         numbers = values.ravel().astype(float).tolist()
@@ -217,10 +191,10 @@ def encode_png(pixels: np.ndarray) -> bytes:
     return file.getvalue()
 
 
-def _compute_ray_ratios() -> np.ndarray:
+def _compute_ray_ratios(view: CameraView) -> np.ndarray:
     """Return the ratio of distance along the ray to depth along the view axis, (H, W)."""
-    width, height = IMAGE_SIZE
-    half_width = math.tan(HORIZONTAL_FOV / 2)
+    width, height = view.shot.size
+    half_width = math.tan(view.field_of_view / 2)
     x = half_width * (2 * (np.arange(width) + 0.5) / width - 1)
     y = half_width * height / width * (2 * (np.arange(height) + 0.5) / height - 1)
     return np.asarray(np.sqrt(1 + x[None] ** 2 + y[:, None] ** 2))

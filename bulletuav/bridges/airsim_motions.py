@@ -17,7 +17,8 @@ from bulletuav.bridges.airsim_values import (
     read_vector,
     yaw_from_airsim,
 )
-from bulletuav.bridges.airsim_world import AirsimVehicle, AirsimWorld
+from bulletuav.bridges.airsim_vehicle import AirsimVehicle
+from bulletuav.bridges.airsim_world import AirsimWorld
 from bulletuav.bridges.motions import (
     FollowPath,
     Heading,

@@ -10,9 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from bulletuav.bridges.airsim_values import write_pose, write_quaternion, write_vector
-from bulletuav.bridges.airsim_world import LIDAR_OPTIONS, AirsimVehicle, AirsimWorld, Collision
-from bulletuav.bridges.setpoints import euler
+from bulletuav.bridges.airsim_beams import RangeFinder
+from bulletuav.bridges.airsim_settings import DISTANCE, FRAMES, LIDAR
+from bulletuav.bridges.airsim_values import write_mount, write_pose, write_quaternion, write_vector
+from bulletuav.bridges.airsim_vehicle import AirsimVehicle, Collision
+from bulletuav.bridges.airsim_world import AirsimWorld
 from bulletuav.earth import (
     Origin,
     attitude_to_ned,
@@ -24,14 +26,20 @@ from bulletuav.earth import (
     pressure,
     temperature,
 )
+from bulletuav.errors import unknown
+from bulletuav.geometry.quaternions import rotate_vectors
 from bulletuav.geometry.rotation import to_body
-from bulletuav.sensors.lidar import make_beams
 from bulletuav.vehicle.airframe import STANDARD_GRAVITY
 
 GAUSS = 1e-4
 """Teslas per gauss"""
 SEA_LEVEL = 1013.25
 """Pressure at sea level (QNH), hPa"""
+RANGE_FINDERS = {
+    LIDAR: ("lidar", "list it in the settings file, or start the server with --lidar"),
+    DISTANCE: ("distance sensor", "list it in the settings file"),
+}
+"""Names of range finders in messages, and how to get one, by AirSim's sensor type"""
 
 
 def make_timestamp(world: AirsimWorld) -> int:
@@ -182,33 +190,69 @@ def gps(world: AirsimWorld, i: int, vehicle: AirsimVehicle) -> dict[str, Any]:
     }
 
 
-def lidar(world: AirsimWorld, i: int, vehicle: AirsimVehicle) -> dict[str, Any]:
-    """Return the points that lidar beams hit as LidarData, north, east, down from the start.
+def _find_range_finder(vehicle: AirsimVehicle, kind: int, name: str) -> RangeFinder:
+    """Return a lidar or a distance sensor of a vehicle.
+
+    Args:
+        vehicle: The vehicle.
+        kind: `LIDAR` or `DISTANCE`.
+        name: Name of the sensor; empty for the first of its kind.
 
     Raises:
-        ValueError: If the world was created without the sensor "lidar".
+        ValueError: If there is no such sensor.
     """
-    if "lidar" not in world.airspace.readings:
-        raise ValueError("there is no lidar: start the server with --lidar")
-    # The lidar is gimballed: beams stay level and rotate with the heading of the drone
-    position = world.airspace.swarm.position[i] - vehicle.start
-    yaw = euler(world.airspace.swarm.quaternion[i].tolist())[2]
-    beams = np.radians(make_beams(LIDAR_OPTIONS["num_beams"], LIDAR_OPTIONS["lidar_elevations"]))
-    azimuth, elevation = beams[:, 0] + yaw, beams[:, 1]
-    ranges = world.airspace.readings["lidar"][i]
-    # Convert ranges and angles to points; beams without a hit are left out
-    horizontal = ranges * np.cos(elevation)
-    vectors = (
-        horizontal * np.cos(azimuth),
-        horizontal * np.sin(azimuth),
-        ranges * np.sin(elevation),
-    )
-    points = enu_to_ned(position + np.stack(vectors, axis=1)[ranges < LIDAR_OPTIONS["max_range"]])
+    sensors = {
+        key: sensor for key, sensor in vehicle.range_finders.items() if sensor.settings.kind == kind
+    }
+    if not sensors:
+        what, remedy = RANGE_FINDERS[kind]
+        raise ValueError(f"vehicle {vehicle.name!r} has no {what}: {remedy}")
+    if name and name not in sensors:
+        raise unknown(RANGE_FINDERS[kind][0], name, sensors)
+    return sensors[name or next(iter(sensors))]
+
+
+def lidar(world: AirsimWorld, i: int, vehicle: AirsimVehicle, name: str) -> dict[str, Any]:
+    """Return the points that the beams of a lidar hit as LidarData.
+
+    Points are north, east, down from the start of the vehicle, or in the axes of the sensor.
+
+    Raises:
+        ValueError: If the vehicle has no such lidar.
+    """
+    sensor = _find_range_finder(vehicle, LIDAR, name)
+    ranges, start, rotation = sensor.measure(world.airspace, i)
+    # Beams without a hit are left out
+    is_hit = ranges < sensor.settings.max_range
+    points = ranges[is_hit, None] * sensor.directions[is_hit]
+    position = start - vehicle.start
+    if sensor.settings.frame == FRAMES[0]:
+        points = flu_to_frd(points)
+    else:
+        points = enu_to_ned(position + rotate_vectors(np.array(rotation), points))
     return {
         "time_stamp": make_timestamp(world),
         "point_cloud": points.ravel().tolist(),
-        "pose": write_pose(position, world.airspace.swarm.quaternion[i]),
+        "pose": write_pose(position, rotation),
         "segmentation": [],
+    }
+
+
+def distance(world: AirsimWorld, i: int, vehicle: AirsimVehicle, name: str) -> dict[str, Any]:
+    """Return the reading of a distance sensor without noise as DistanceSensorData.
+
+    Raises:
+        ValueError: If the vehicle has no such sensor.
+    """
+    sensor = _find_range_finder(vehicle, DISTANCE, name)
+    settings = sensor.settings
+    (found,), _, _ = sensor.measure(world.airspace, i)
+    return {
+        "time_stamp": make_timestamp(world),
+        "distance": float(max(found, settings.min_range)),
+        "min_distance": settings.min_range,
+        "max_distance": settings.max_range,
+        "relative_pose": write_mount(*settings.mount),
     }
 
 

@@ -10,8 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from bulletuav.earth import attitude_to_enu, attitude_to_ned, enu_to_ned
-from bulletuav.errors import finite, shown
+from bulletuav.earth import attitude_to_enu, attitude_to_ned, enu_to_ned, flu_to_frd
+from bulletuav.errors import as_sequence, finite, shown
+from bulletuav.geometry.rotation import Quat4, from_euler
 
 MAX_VALUE = 1e5
 """Maximum magnitude of a coordinate (m) or velocity (m/s) in a call"""
@@ -165,3 +166,49 @@ def attitude_from_airsim(orientation: np.ndarray) -> np.ndarray:
     """
     attitude = attitude_to_enu(orientation)
     return np.asarray(attitude / math.sqrt(float((attitude * attitude).sum())))
+
+
+def rotation_from_degrees(roll: float, pitch: float, yaw: float) -> Quat4:
+    """Convert AirSim's angles of a camera or sensor on a vehicle to a quaternion in FLU axes.
+
+    Args:
+        roll: Angle about the forward axis, degrees.
+        pitch: Angle about the right axis, upwards, degrees.
+        yaw: Angle about the down axis, clockwise from above, degrees.
+
+    Returns:
+        Quaternion x, y, z, w from the axes of the part to those of the vehicle.
+    """
+    return from_euler(math.radians(roll), -math.radians(pitch), -math.radians(yaw))
+
+
+def swap_rotation(quaternion: Any) -> Quat4:
+    """Convert the rotation of a part of a vehicle from FRD to FLU axes, or back.
+
+    Args:
+        quaternion: x, y, z, w.
+    """
+    x, y, z, w = (float(value) for value in quaternion)
+    return x, -y, -z, w
+
+
+def write_mount(position: np.ndarray, rotation: Quat4) -> dict[str, Any]:
+    """Convert the pose of a part of a vehicle to AirSim's map.
+
+    Args:
+        position: (3,) forward, left, up, m.
+        rotation: Quaternion x, y, z, w from the axes of the part (FLU) to those of the vehicle.
+    """
+    return {
+        "position": write_vector(flu_to_frd(position)),
+        "orientation": write_quaternion(swap_rotation(rotation)),
+    }
+
+
+def read_text_list(name: str, value: Any, most: int) -> list[str]:
+    """Return a list of strings of a call after validation.
+
+    Raises:
+        ValueError: If the value is not a list of at most `most` strings.
+    """
+    return [check_text(name, one) for one in as_sequence(name, value, most=most)]

@@ -1,26 +1,21 @@
 """Vehicles of AirSim's API in one airspace: motions, contacts and states, without a network."""
 
+import functools
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from bulletuav.bridges.airsim_values import attitude_from_airsim
-from bulletuav.bridges.motions import DoneCallback, HoldPosition, MotionPrimitive, MotorsOff
-from bulletuav.bridges.setpoints import (
-    NORTH,
-    AirspaceCommand,
-    Setpoint,
-    SetpointController,
-    State,
-    apply_commands,
-    make_airspace,
-)
-from bulletuav.earth import Origin
+from bulletuav.bridges.airsim_beams import DEFAULT_LIDAR, DEFAULT_LIDAR_NAME, RangeFinder
+from bulletuav.bridges.airsim_cameras import make_cameras, make_external_cameras
+from bulletuav.bridges.airsim_settings import AirsimSettings, VehicleSettings
+from bulletuav.bridges.airsim_values import attitude_from_airsim, yaw_from_airsim
+from bulletuav.bridges.airsim_vehicle import AirsimVehicle, Collision
+from bulletuav.bridges.setpoints import SetpointController, State, apply_commands, make_airspace
+from bulletuav.earth import Origin, ned_to_enu
 from bulletuav.errors import as_int, as_sequence, former_names, points_of, shown, unknown
-from bulletuav.sensors.imperfect import Imperfect
-from bulletuav.sensors.lidar import Lidar
+from bulletuav.geometry.rotation import from_euler
 from bulletuav.vehicle.airframes import load_airframe
 from bulletuav.vehicle.swarm import CITY, FIRST_OBSTACLE, GROUND
 
@@ -34,124 +29,8 @@ MIN_COLLISION_SPEED = 1.0
 """Minimum impact speed at which ground contact counts as a collision, m/s"""
 MAX_VEHICLES = 256
 """Maximum number of vehicles"""
-LIDAR_OPTIONS: dict[str, Any] = {
-    "num_beams": 36,
-    "lidar_elevations": (-45.0, -30.0, -15.0, 0.0, 15.0),
-    "max_range": 40.0,
-}
-"""Options of `Airspace` for the beams of the lidar"""
-LIDAR_HZ = 10
-"""Rate of lidar measurements, Hz"""
-
-
-class Collision:
-    """Last collision of a vehicle since a client read it.
-
-    Attributes:
-        has_collided: Whether the vehicle has collided.
-        time: Time of the collision, s.
-        object_name: Name of the other object.
-        object_id: Number of the other object in `Contacts`; -1 for none.
-        point, normal: (3,) contact point, m, and contact normal towards the vehicle, east, north,
-            up.
-        position: (3,) position of the vehicle at the collision, m.
-        depth: Penetration depth, m.
-    """
-
-    def __init__(self) -> None:
-        """Create a record without a collision."""
-        self.has_collided, self.time, self.object_name, self.object_id = False, 0.0, "", -1
-        self.point = self.normal = self.position = np.zeros(3)
-        self.depth = 0.0
-
-
-class AirsimVehicle:
-    """State of one vehicle: control, arming, motion and collision.
-
-    Attributes:
-        name: Name that clients use.
-        start: (3,) start position, m: the origin of the vehicle's coordinates.
-        is_api_controlled: Whether a client has API control.
-        is_armed: Whether the motors are armed.
-        collision: Last collision.
-        is_standing: Whether the vehicle touches a surface that it can stand on.
-    """
-
-    def __init__(self, name: str, start: np.ndarray, controller: SetpointController) -> None:
-        """Create a vehicle on the ground with stopped motors."""
-        self.name, self.start, self._controller = name, start, controller
-        self.collision = Collision()
-        self._motion: MotionPrimitive = MotorsOff()
-        self._done_callback: DoneCallback | None = None
-        self.restart()
-
-    def restart(self) -> None:
-        """Reset the vehicle to its initial state; the present motion fails."""
-        self.finish(False)
-        self._controller.reset()
-        self._motion = MotorsOff()
-        self.is_api_controlled = self.is_armed = False
-        self.collision, self.is_standing = Collision(), True
-
-    @property
-    def is_flying(self) -> bool:
-        """Whether the motors turn."""
-        return not isinstance(self._motion, MotorsOff)
-
-    def start_motion(self, motion: MotionPrimitive, done_callback: DoneCallback) -> None:
-        """Start a motion; the present motion fails.
-
-        Args:
-            motion: The motion.
-            done_callback: Function that is called with the outcome when the motion ends.
-        """
-        self.finish(False)
-        self._motion, self._done_callback = motion, done_callback
-
-    def finish(self, success: bool) -> None:
-        """Report the outcome of the present motion to its client."""
-        done_callback, self._done_callback = self._done_callback, None
-        if done_callback is not None:
-            done_callback(success)
-
-    def hold_position(self, state: State) -> None:
-        """End the present motion, and hold the position if the motors turn."""
-        self.finish(False)
-        if self.is_flying:
-            self._motion = HoldPosition(state)
-
-    def reset_after_placement(self, state: State) -> None:
-        """Clear the collision and the held yaw after a placement, and hold the position."""
-        self.collision = Collision()
-        self._controller.reset()
-        self.hold_position(state)
-
-    def stop_motors(self) -> None:
-        """End the present motion and stop the motors."""
-        self.finish(False)
-        self._motion = MotorsOff()
-
-    def compute_command(self, state: State, now: float, period: float) -> AirspaceCommand | None:
-        """Return the command of the next step; None stops the motors.
-
-        Args:
-            state: State of the vehicle.
-            now: Time, s.
-            period: Duration of the step, s.
-        """
-        setpoint = self._motion.get_setpoint(state, now) if self.is_armed else None
-        if isinstance(setpoint, Setpoint):
-            return self._controller.compute_command(setpoint, state, period)
-        return setpoint
-
-    def check_motion(self, state: State, now: float) -> None:
-        """End the present motion if it has succeeded or failed."""
-        if self._done_callback is None:
-            return
-        outcome = self._motion.check_outcome(state, now, self.is_standing)
-        if outcome is not None:
-            self._motion = self._motion.get_next_motion(state)
-            self.finish(outcome)
+DEFAULT_NAMES = ("SimpleFlight", "PX4")
+"""Names of AirSim's default vehicles, which also mean a single vehicle of another name"""
 
 
 class AirsimWorld:
@@ -160,6 +39,8 @@ class AirsimWorld:
     Attributes:
         airspace: Airspace of the vehicles.
         vehicles: Vehicles by name, in order.
+        external_cameras: Cameras that stand in the world, by name.
+        settings: Settings of the world.
         origin: Geodetic position of the origin of the airspace.
         paused: Whether simulated time stands still.
         acceleration: (N, 3) accelerations in the last step, m/s^2, east, north, up.
@@ -173,8 +54,9 @@ class AirsimWorld:
         airframe: Any = "iris",
         *,
         places: Any = None,
-        home: Sequence[float] = HOME,
+        home: Sequence[float] | None = None,
         lidar: bool = False,
+        settings: AirsimSettings | None = None,
         **options: Any,
     ) -> None:
         """Place vehicles on the ground, facing north.
@@ -185,41 +67,39 @@ class AirsimWorld:
                 documentation.
             airframe: Airframe of the vehicles.
             places: (N, 2) start positions, east and north, m; by default 2 m apart to the east.
-            home: Latitude, longitude (degrees) and altitude (m) of the origin.
+            home: Latitude, longitude (degrees) and altitude (m) of the origin; by default that of
+                the settings, or of AirSim's worlds.
             lidar: Whether vehicles carry a lidar with 180 beams.
+            settings: Settings of a file, see `read_settings`. Vehicles of the settings replace
+                `drones` and `places`.
             **options: Other options of `Airspace`, such as obstacles, a layout, sensors or wind.
 
         Raises:
             ValueError: If an option is invalid.
         """
-        # Validate names and places together
-        airframe_data = load_airframe(airframe)
-        names = _make_names(drones)
-        start_xy = [(SPACING * k, 0.0) for k in range(len(names))] if places is None else places
-        if len(start_xy) != len(names):
-            raise ValueError(f"places are {len(start_xy)}: one for each of {len(names)} is needed")
-        self._starts = points_of(
-            "places", [(*one, airframe_data.standing_height) for one in start_xy]
-        )
+        self.settings = settings = settings or AirsimSettings()
+        self._airframe, self._has_lidar = load_airframe(airframe), lidar
+        vehicles = _list_vehicles(drones, places, settings)
         # Clients rely on AirSim's rate
         if "decision_hz" in options:
             raise ValueError(
                 f"decision_hz is fixed at {DECISION_HZ} for clients of AirSim: leave it out"
             )
+        self.vehicles = {name: self._make_vehicle(name, one) for name, one in vehicles.items()}
+        self.external_cameras = make_external_cameras(settings.external_cameras)
         # Options of the caller override the defaults
-        airspace_options = {"physics_hz": PHYSICS_HZ, "decision_hz": DECISION_HZ, **options}
-        if lidar:
-            airspace_options |= {"sensors": (Imperfect(Lidar(), rate=LIDAR_HZ),), **LIDAR_OPTIONS}
-        self.airspace = make_airspace(self._starts, airframe_data, **airspace_options)
-        self.origin = Origin(*as_sequence("home", home, 3))
-        # Each vehicle has a controller of its own
-        self.vehicles = {
-            name: AirsimVehicle(name, start, SetpointController(airframe_data))
-            for name, start in zip(names, self._starts, strict=True)
+        wind = {} if settings.wind is None else {"wind": tuple(ned_to_enu(settings.wind).tolist())}
+        self._options = {
+            "physics_hz": PHYSICS_HZ,
+            "decision_hz": DECISION_HZ,
+            **options,
+            **wind,
         }
+        self.airspace = make_airspace(self._starts, self._airframe, **self._options)
+        self.origin = Origin(*as_sequence("home", home or settings.origin or HOME, 3))
         # Clock, and accelerations, which are computed from differences of velocities
         self.paused = False
-        self._due, self._ticks = 0.0, 0
+        self._due, self._ticks, self._start_time = 0.0, 0, 0.0
         self._velocity = self.airspace.swarm.velocity.copy()
         self._rates = self.airspace.swarm.rates.copy()
         self.acceleration = np.zeros_like(self._velocity)
@@ -229,7 +109,28 @@ class AirsimWorld:
     @property
     def time(self) -> float:
         """Simulated time, s."""
-        return self.airspace.time
+        return self._start_time + self.airspace.time
+
+    @property
+    def _starts(self) -> np.ndarray:
+        """Start positions (N, 3) of the vehicles, m."""
+        return np.array([vehicle.start for vehicle in self.vehicles.values()])
+
+    def _make_vehicle(self, name: str, settings: VehicleSettings) -> AirsimVehicle:
+        """Return a vehicle that stands at its place, or starts above it."""
+        north, east, down = settings.place
+        height = self._airframe.standing_height + max(-down, 0.0)
+        sensors = dict(settings.sensors)
+        if self._has_lidar:
+            sensors.setdefault(DEFAULT_LIDAR_NAME, DEFAULT_LIDAR)
+        return AirsimVehicle(
+            name,
+            np.array((east, north, height)),
+            SetpointController(self._airframe),
+            from_euler(0.0, 0.0, yaw_from_airsim(settings.yaw)),
+            make_cameras(self._airframe, self.settings.cameras, settings.cameras),
+            {name: RangeFinder(one) for name, one in sensors.items()},
+        )
 
     @property
     def clock(self) -> float:
@@ -243,12 +144,14 @@ class AirsimWorld:
         """Return the index of a vehicle, and the vehicle.
 
         Args:
-            name: Name of the vehicle; empty for the first.
+            name: Name of the vehicle; empty for the first. A single vehicle also answers to
+                `DEFAULT_NAMES`.
 
         Raises:
             ValueError: If no vehicle has that name.
         """
-        if name == "":
+        is_default = len(self.vehicles) == 1 and name in DEFAULT_NAMES
+        if name == "" or is_default:
             name = next(iter(self.vehicles))
         if not isinstance(name, str) or name not in self.vehicles:
             raise unknown("vehicle", name, self.vehicles)
@@ -354,7 +257,15 @@ class AirsimWorld:
         )
         rotor_speed = "hover" if vehicle.is_flying else 0.0
         # Lists, because errors show their numbers plainly
-        self.airspace.place(i, target.tolist(), attitude.tolist(), rotor_speed=rotor_speed)
+        place = functools.partial(self.airspace.place, i, rotor_speed=rotor_speed)
+        try:
+            place(target.tolist(), attitude.tolist())
+        except ValueError:
+            # A tilted vehicle on the ground is lifted, as AirSim does
+            lowest = self._airframe.collision_radius
+            if not 0.0 <= target[2] < lowest:
+                raise
+            place([*target[:2].tolist(), lowest], attitude.tolist())
         self._reset_accelerations(i)
         vehicle.reset_after_placement(self.state(i))
 
@@ -367,7 +278,8 @@ class AirsimWorld:
         """Place all vehicles at their start positions with stopped motors; time goes on."""
         for vehicle in self.vehicles.values():
             vehicle.restart()
-        self.airspace.place(None, self._starts, NORTH)
+        attitudes = [vehicle.attitude for vehicle in self.vehicles.values()]
+        self.airspace.place(None, self._starts, attitudes)
         self._reset_accelerations(slice(None))
         self._due, self._ticks = 0.0, 0
 
@@ -379,6 +291,28 @@ class AirsimWorld:
     def close(self) -> None:
         """Close the airspace."""
         self.airspace.close()
+
+
+def _list_vehicles(
+    drones: int | Sequence[str], places: Any, settings: AirsimSettings
+) -> Mapping[str, VehicleSettings]:
+    """Return the settings of the vehicles by name."""
+    if settings.vehicles is not None:
+        if drones != 1 or places is not None:
+            raise ValueError(
+                f"drones is {shown(drones)} and places are {shown(places)}, but the settings list "
+                f"the vehicles {', '.join(settings.vehicles)}: leave drones and places out"
+            )
+        return settings.vehicles
+    names = _make_names(drones)
+    start_xy = [(SPACING * k, 0.0) for k in range(len(names))] if places is None else places
+    if len(start_xy) != len(names):
+        raise ValueError(f"places are {len(start_xy)}: one for each of {len(names)} is needed")
+    points = points_of("places", [(*one, 0.0) for one in start_xy]).tolist()
+    return {
+        name: VehicleSettings((north, east, 0.0), sensors=settings.sensors)
+        for name, (east, north, _) in zip(names, points, strict=True)
+    }
 
 
 def _make_names(drones: int | Sequence[str]) -> tuple[str, ...]:

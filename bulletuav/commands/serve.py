@@ -5,6 +5,7 @@ from collections.abc import Callable
 from typing import Any
 
 from bulletuav.bridges import airsim, crazyflie, hil, mavlink
+from bulletuav.bridges.airsim_settings import AirsimSettings, list_ignored, read_settings
 from bulletuav.bridges.airsim_world import AirsimWorld
 from bulletuav.bridges.crazyflie_fleet import CrazyflieFleet
 from bulletuav.bridges.hil_bodies import HilBodies
@@ -16,7 +17,10 @@ from bulletuav.errors import find_choice
 
 def run(arguments: argparse.Namespace) -> None:
     """Start the server of the given protocol."""
-    find_choice("kind of server", arguments.kind, KINDS)(arguments)
+    serve = find_choice("kind of server", arguments.kind, KINDS)
+    if arguments.settings is not None and serve is not _serve_airsim:
+        raise ValueError(f"--settings has no effect on {arguments.kind}: omit it")
+    serve(arguments)
 
 
 def _options(arguments: argparse.Namespace) -> dict[str, Any]:
@@ -49,10 +53,16 @@ def _serve(
         flown.close()
 
 
-def _address(arguments: argparse.Namespace, default_port: int) -> tuple[str, int, float]:
+def _address(
+    arguments: argparse.Namespace, default_port: int, default_speed: float | None = None
+) -> tuple[str, int, float]:
     """Return address, port and speed."""
     port = default_port if arguments.port is None else arguments.port
-    return arguments.host, port, arguments.speed
+    return (
+        arguments.host,
+        port,
+        next(speed for speed in (arguments.speed, default_speed, 1.0) if speed is not None),
+    )
 
 
 def _format_addresses(host: str, ports: list[int], scheme: str = "") -> str:
@@ -79,11 +89,22 @@ def _serve_crazyflie(arguments: argparse.Namespace) -> None:
 def _serve_airsim(arguments: argparse.Namespace) -> None:
     """Serve vehicles to AirSim clients."""
     frame = arguments.airframe or "iris"
-    world = AirsimWorld(arguments.drones, frame, lidar=arguments.lidar, **_options(arguments))
+    path = arguments.settings
+    settings = AirsimSettings() if path is None else read_settings(path)
+    options = _options(arguments)
+    if settings.wind is not None and any(options.pop("wind")):
+        raise ValueError("--wind is given, and Wind in the settings file: leave one out")
+    if settings.ignored:
+        print(f"{path}: these keys have no effect: {list_ignored(settings.ignored)}", flush=True)
+    world = AirsimWorld(
+        arguments.drones, frame, lidar=arguments.lidar, settings=settings, **options
+    )
     world.paused = arguments.paused
+    port = airsim.PORT if settings.port is None else settings.port
+    address = _address(arguments, port, settings.clock_speed)
     _serve(
         world,
-        lambda: airsim.AirsimServer(world, *_address(arguments, airsim.PORT)),
+        lambda: airsim.AirsimServer(world, *address),
         lambda server: f"{', '.join(world.vehicles)} at {join_address(server.host, server.port)}",
         arguments.seconds,
     )

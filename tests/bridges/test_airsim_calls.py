@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from bulletuav.bridges import airsim_world
 from bulletuav.bridges.airsim_calls import CONTINUE_CALLS, IMAGE_CALLS, AirsimCalls
 from bulletuav.bridges.airsim_motions import MOTIONS
+from bulletuav.bridges.airsim_settings import parse_settings
 from bulletuav.bridges.airsim_values import (
     attitude_from_airsim,
     read_pose,
@@ -568,6 +569,7 @@ ARGUMENTS = {
     "getMagnetometerData": (TEXT, VEHICLE),
     "getGpsData": (TEXT, VEHICLE),
     "getLidarData": (TEXT, VEHICLE),
+    "getDistanceSensorData": (TEXT, VEHICLE),
     "simContinueForTime": (TIME,),
     "simContinueForFrames": (WHOLE,),
     "simGetImage": (CAMERA, WHOLE, VEHICLE),
@@ -682,7 +684,8 @@ def try_call(calls, name, arguments):
 
 def test_all_calls_check_all_their_arguments(make_client):
     """Odd ones are one clear error, or values that were meant; never anything else."""
-    client = make_client(lidar=True)
+    sensors = {"Distance": {"SensorType": 5}}
+    client = make_client(lidar=True, settings=parse_settings({"DefaultSensors": sensors}))
     client.at((0, 0, -5))
     assert sorted(ARGUMENTS) == client.calls.list_names()
     for name, kinds in ARGUMENTS.items():

@@ -15,6 +15,7 @@ ABOUT = {
   bulletuav serve crazyflie --drones 10
   bulletuav serve crazyflie --drones 4 --wind 2 0 0 --port 19860
   bulletuav serve airsim --drones 2 --lidar
+  bulletuav serve airsim --settings settings.json
   bulletuav serve mavlink --drones 3
   bulletuav serve hil --wind 3 0 0""",
 }
@@ -58,7 +59,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help=_client_port,
     )
     parser.add_argument(
-        "--speed", type=float, default=1.0, help="speed relative to real time (default: 1)"
+        "--speed", type=float, help="speed relative to real time, above 0 (default: 1)"
     )
     # World and clock
     parser.add_argument(
@@ -75,6 +76,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="steady wind in m/s",
     )
     parser.add_argument("--seed", type=int, help="seed of gusts and noise (default: random)")
+    parser.add_argument(
+        "--settings", metavar="FILE", help="airsim: AirSim's settings.json: vehicles, cameras, ..."
+    )
     parser.add_argument("--lidar", action="store_true", help="airsim: equip drones with a lidar")
     parser.add_argument(
         "--paused", action="store_true", help="airsim: start paused, until a client continues"
