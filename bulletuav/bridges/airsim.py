@@ -17,7 +17,13 @@ import time
 from collections.abc import Awaitable, Callable, Iterator
 from typing import Any
 
-from bulletuav.bridges.airsim_calls import CONTINUE_CALLS, IMAGE_CALLS, AirsimCalls, ImageCall
+from bulletuav.bridges.airsim_calls import (
+    CONTINUE_CALLS,
+    IMAGE_CALLS,
+    AirsimCalls,
+    ImageCall,
+    NotReadyError,
+)
 from bulletuav.bridges.airsim_motions import MOTIONS
 from bulletuav.bridges.airsim_pictures import DrawingError, PictureQueue
 from bulletuav.bridges.airsim_world import AirsimWorld
@@ -279,7 +285,10 @@ class _Client:
         except ValueError as error:
             call = name if isinstance(name, str) else shown(name)
             self._server._refusals.log(self._stream.peer, call, str(error))
-            self._respond(number, str(error), None)
+            if isinstance(error, NotReadyError):
+                self._respond(number, None, False)
+            else:
+                self._respond(number, str(error), None)
             return None
         self._respond(number, None, result)
         return None

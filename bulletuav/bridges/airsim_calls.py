@@ -4,22 +4,31 @@ import inspect
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from bulletuav.bridges import airsim_states as states
+from bulletuav.bridges.airsim_camera_calls import CameraCalls
 from bulletuav.bridges.airsim_images import ImageRequest, make_exposures, make_response
 from bulletuav.bridges.airsim_motions import MOTIONS
+from bulletuav.bridges.airsim_scene_calls import SceneCalls
+from bulletuav.bridges.airsim_settings import VEHICLE_TYPES, VehicleSettings
 from bulletuav.bridges.airsim_values import (
+    attitude_from_airsim,
     check_duration,
     check_flag,
+    check_number,
     check_text,
     read_pose,
     read_vector,
     write_pose,
+    yaw_to_airsim,
 )
-from bulletuav.bridges.airsim_vehicle import AirsimVehicle, Collision
+from bulletuav.bridges.airsim_vehicle import AirsimVehicle, Collision, RemoteControl
 from bulletuav.bridges.airsim_world import AirsimWorld
 from bulletuav.bridges.motions import DoneCallback
-from bulletuav.earth import ned_to_enu
+from bulletuav.earth import frd_to_flu, ned_to_enu
 from bulletuav.errors import as_int, as_sequence, shown, unknown
+from bulletuav.geometry.rotation import heading
 
 SERVER_VERSION = 4
 """Minimum server version of Cosys-AirSim's clients; AirSim's clients need 1"""
@@ -35,6 +44,13 @@ CONTINUE_CALLS = ("simContinueForTime", "simContinueForFrames")
 """Calls that step a paused simulation"""
 IMAGE_CALLS = ("simGetImage", "simGetImages")
 """Calls that render images; the server renders them in another process"""
+
+
+class NotReadyError(ValueError):
+    """Error for a vehicle that is not under API control, or not armed.
+
+    AirSim answers False then; its clients cannot show an error of a motion.
+    """
 
 
 class ImageCall(NamedTuple):
@@ -98,6 +114,11 @@ class AirsimCalls:
                     ("getGpsData", states.gps),
                 )
             },
+            "simSetKinematics": self._set_kinematics,
+            "simAddVehicle": self._add_vehicle,
+            "moveByRC": self._set_remote,
+            **CameraCalls(world).table,
+            **SceneCalls(world).table,
             "getLidarData": self._make_range_call(states.lidar),
             "getDistanceSensorData": self._make_range_call(states.distance),
         }
@@ -119,6 +140,7 @@ class AirsimCalls:
         Raises:
             ValueError: If the call is unknown or its arguments are invalid; the world is unchanged
                 then.
+            NotReadyError: If the vehicle is not under API control, which the call needs.
         """
         if name in IMAGE_CALLS:
             return self._draw_images(name, arguments)
@@ -155,8 +177,8 @@ class AirsimCalls:
             done_callback: Function that is called with the outcome when the motion ends.
 
         Raises:
-            ValueError: If the arguments are invalid, or the vehicle is not armed or not under API
-                control. It continues its present motion then.
+            ValueError: If the arguments are invalid. The vehicle continues its present motion then.
+            NotReadyError: If the vehicle is not armed or not under API control.
         """
         if not arguments or not isinstance(arguments[-1], str):
             raise ValueError(f"{name} needs a vehicle's name, or an empty one, as last argument")
@@ -164,7 +186,7 @@ class AirsimCalls:
         if not vehicle.is_api_controlled:
             raise _make_control_error(vehicle)
         if not vehicle.is_armed:
-            raise ValueError(
+            raise NotReadyError(
                 f"vehicle {vehicle.name!r} is not armed; call armDisarm(True, {vehicle.name!r}) "
                 f"first"
             )
@@ -246,6 +268,48 @@ class AirsimCalls:
         check_flag("ignore_collision", ignore_collision)
         self.world.place(i, *read_pose(pose))
 
+    def _set_kinematics(self, state: Any, ignore_collision: bool, vehicle_name: str = "") -> None:
+        """Set pose and velocities of a vehicle; accelerations are those of its motors and the air.
+
+        Arguments are those of `_set_pose`, with a KinematicsState.
+        """
+        i, _ = self.world.vehicle(vehicle_name)
+        check_flag("ignore_collision", ignore_collision)
+        if not isinstance(state, Mapping):
+            raise ValueError(f"state is {shown(state)}: a map of a KinematicsState is needed")
+        velocity = ned_to_enu(read_vector("linear_velocity", state.get("linear_velocity")))
+        rates = frd_to_flu(read_vector("angular_velocity", state.get("angular_velocity")))
+        self.world.place(i, *read_pose(state), velocity.tolist(), rates.tolist())
+
+    def _add_vehicle(
+        self, vehicle_name: str, vehicle_type: str, pose: Any, pawn_path: str = ""
+    ) -> bool:
+        """Add a vehicle at a pose, north, east, down of the origin; only its yaw is used."""
+        check_text("pawn_path", pawn_path)
+        if check_text("vehicle_type", vehicle_type).lower() not in VEHICLE_TYPES:
+            raise unknown("vehicle_type", vehicle_type, ("SimpleFlight", "PX4Multirotor"))
+        position, orientation = read_pose(pose)
+        place = tuple(np.nan_to_num(position).tolist())
+        yaw = 0.0
+        if np.isfinite(orientation).all():
+            yaw = yaw_to_airsim(heading(attitude_from_airsim(orientation)))
+        settings = VehicleSettings(place, yaw, sensors=self.world.settings.sensors)
+        self.world.add_vehicle(check_text("vehicle_name", vehicle_name), settings)
+        return True
+
+    def _set_remote(self, rcdata: Any, vehicle_name: str = "") -> None:
+        """Set the sticks of a vehicle, by which `moveByManual` flies."""
+        _, vehicle = self.world.vehicle(vehicle_name)
+        if not isinstance(rcdata, Mapping):
+            raise ValueError(f"rcdata is {shown(rcdata)}: a map of RCData is needed")
+        vehicle.remote = RemoteControl(
+            check_number("roll", rcdata.get("roll")),
+            check_number("pitch", rcdata.get("pitch")),
+            check_number("throttle", rcdata.get("throttle")),
+            check_number("yaw", rcdata.get("yaw")),
+            check_flag("is_valid", rcdata.get("is_valid")),
+        )
+
     def _get_pose(self, vehicle_name: str = "") -> dict[str, Any]:
         """Return the pose of a vehicle relative to its start, NED."""
         i, vehicle = self.world.vehicle(vehicle_name)
@@ -317,8 +381,8 @@ class AirsimCalls:
         return responses if call.is_list else responses[0]["image_data_uint8"]
 
 
-def _make_control_error(vehicle: AirsimVehicle) -> ValueError:
-    return ValueError(
+def _make_control_error(vehicle: AirsimVehicle) -> NotReadyError:
+    return NotReadyError(
         f"vehicle {vehicle.name!r} is not under API control; call enableApiControl(True, "
         f"{vehicle.name!r}) first"
     )

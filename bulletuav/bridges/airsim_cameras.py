@@ -8,7 +8,7 @@ import numpy as np
 
 from bulletuav.bridges.airsim_settings import CameraSettings, Capture, Mount
 from bulletuav.bridges.airsim_values import rotation_from_degrees
-from bulletuav.errors import unknown
+from bulletuav.errors import shown, unknown
 from bulletuav.geometry.rotation import Quat4, product, to_world
 from bulletuav.vehicle.airframe import Airframe
 
@@ -141,5 +141,11 @@ def find_camera(cameras: Mapping[str, Camera], name: str) -> Camera:
     plain = name.replace("-", "_")
     found = cameras.get(CAMERA_NUMBERS.get(plain, plain))
     if found is None:
-        raise unknown("camera", name, [*cameras, *CAMERA_NUMBERS])
+        if not cameras:
+            raise ValueError(
+                f"camera {shown(name)} does not stand in the world: list it as one of "
+                f"ExternalCameras in the settings file, or leave external out"
+            )
+        numbers = [number for number, known in CAMERA_NUMBERS.items() if known in cameras]
+        raise unknown("camera", name, [*cameras, *numbers])
     return found

@@ -19,12 +19,24 @@ MAX_GREY_DEPTH = 100.0
 PLANAR, PERSPECTIVE, GREY, SEGMENTATION = 1, 2, 3, 5
 """Image types of AirSim besides `SCENE`: depth along the view axis, along the pixel's ray, and as a
 fraction of `MAX_GREY_DEPTH`; segmentation"""
-LABEL_COLOURS = np.array(
-    [(135, 206, 235), (80, 120, 60), (150, 150, 150), (220, 60, 50), (60, 90, 220)], dtype=np.uint8
-)
-"""RGB colours of the labels sky, land, building, obstacle, drone"""
 MAX_FLOATS = 1_500_000
 """Maximum number of pixels of an image of floats, which take 9 bytes each"""
+
+
+def make_label_colour(number: int) -> np.ndarray:
+    """Return the colour of a segmentation id, as PASCAL VOC defines it.
+
+    Args:
+        number: The id, from 0 to 255.
+
+    Returns:
+        (3,) uint8, red, green, blue.
+    """
+    colour = np.zeros(3, dtype=np.uint8)
+    # The lowest bits of the id are the highest ones of red, green and blue
+    for bit in range(8):
+        colour[bit % 3] |= (number >> bit & 1) << (7 - bit // 3)
+    return colour
 
 
 class ImageRequest:
@@ -66,12 +78,14 @@ class CameraView(NamedTuple):
         field_of_view: Horizontal field of view, rad.
         pose: Position and orientation of the camera in AirSim's format.
         time_stamp: Simulated time, ns.
+        label_colours: (5, 3) RGB colours of the segmentation labels.
     """
 
     shot: CameraMatrices
     field_of_view: float
     pose: dict[str, Any]
     time_stamp: int
+    label_colours: np.ndarray
 
 
 class Exposure(NamedTuple):
@@ -131,7 +145,7 @@ def _make_view(world: AirsimWorld, i: int | None, request: ImageRequest) -> Came
         swarm, vehicle = world.airspace.swarm, list(world.vehicles.values())[i]
         position, attitude = camera.compute_pose(swarm.position[i], swarm.quaternion[i])
         pose = write_pose(position - vehicle.start, attitude)
-    return CameraView(shot, view, pose, round(world.time * 1e9))
+    return CameraView(shot, view, pose, round(world.time * 1e9), world.label_colours)
 
 
 def make_response(exposure: Exposure, picture: Picture) -> dict[str, Any]:
@@ -161,7 +175,7 @@ def make_response(exposure: Exposure, picture: Picture) -> dict[str, Any]:
         # Colours, labels, or depths in shades of grey
         pixels = picture.pixels
         if request.kind == SEGMENTATION:
-            pixels = LABEL_COLOURS[picture.labels]
+            pixels = view.label_colours[picture.labels]
         elif request.kind != SCENE:
             grey = np.clip(255 * picture.depth / MAX_GREY_DEPTH, 0, 255).astype(np.uint8)
             pixels = np.repeat(grey[:, :, None], 3, axis=2)

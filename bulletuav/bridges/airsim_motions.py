@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from bulletuav.bridges.airsim_objects import read_geo_point
 from bulletuav.bridges.airsim_values import (
     MAX_VALUE,
     check_duration,
@@ -28,7 +29,14 @@ from bulletuav.bridges.motions import (
     MotionPrimitive,
     TurnToYaw,
 )
-from bulletuav.bridges.setpoints import AirspaceCommand, Setpoint, compute_corner_speeds
+from bulletuav.bridges.setpoints import (
+    AirspaceCommand,
+    Setpoint,
+    State,
+    compute_corner_speeds,
+    euler,
+)
+from bulletuav.compiled.functions import cos, sin
 from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.errors import as_int, as_sequence, shown
 
@@ -42,6 +50,8 @@ MAX_TILT = math.radians(60)
 """Maximum roll and pitch; larger values are clamped, rad"""
 MAX_RATE = 20.0
 """Maximum roll and pitch rates; larger values are clamped, rad/s"""
+MAX_STICK_VALUE, FULL_DEFLECTION = 1e9, 10_000
+"""Maximum magnitude of the limits of manual flight, and full deflection of a stick"""
 MotionFactory = Callable[..., MotionPrimitive]
 """Function that creates a motion from world, vehicle index, vehicle and arguments of a call"""
 
@@ -303,6 +313,86 @@ def move_by_motors(
     return HoldSetpoint(world.clock, check_duration("duration", duration), command)
 
 
+class ManualFlight(MotionPrimitive):
+    """Fly by the sticks that a client sends, for a duration."""
+
+    def __init__(
+        self,
+        world: AirsimWorld,
+        i: int,
+        vehicle: AirsimVehicle,
+        limits: tuple[float, float, float],
+        duration: float,
+        heading: Heading,
+    ) -> None:
+        """Hold the position until valid sticks arrive.
+
+        Args:
+            world: The vehicles.
+            i: Index of the vehicle.
+            vehicle: The vehicle.
+            limits: Velocity forward and to the right at full deflection, m/s, and height above the
+                vehicle at full throttle, m, downwards.
+            duration: Duration, s.
+            heading: Yaw policy.
+        """
+        super().__init__(world.clock, duration)
+        state = world.state(i)
+        self._vehicle, self._limits, self._heading = vehicle, limits, heading
+        self._hold, self._yaw = HoldPosition(state), euler(state[1])[2]
+        self._max_speed = world.airspace.airframes[i].max_speed
+
+    def get_setpoint(self, state: State, now: float) -> Setpoint:
+        """Return the velocity and height of the sticks, in the heading at the start of the motion.
+
+        AirSim's source has the scales: the deflection of 10,000, and 100 degrees per second of yaw.
+        """
+        remote = self._vehicle.remote
+        if not remote.is_valid:
+            return self._hold.get_setpoint(state, now)
+        scales = [limit / FULL_DEFLECTION for limit in self._limits]
+        forward, right = remote.pitch * scales[0], remote.roll * scales[1]
+        size = max(math.sqrt(forward**2 + right**2) / self._max_speed, 1.0)
+        forward, right = forward / size, right / size
+        cosine, sine = cos(self._yaw), sin(self._yaw)
+        x, y = forward * cosine + right * sine, forward * sine - right * cosine
+        height = state[0][2] - remote.throttle * scales[2]
+        yaw_mode, yaw = self._heading.get_yaw_command((x, y))
+        change = math.radians(remote.yaw * 100.0 / FULL_DEFLECTION)
+        return Setpoint("velocity", (x, y), "position", height, yaw_mode, yaw - change)
+
+
+def move_by_manual(
+    world: AirsimWorld, i: int, vehicle: AirsimVehicle, vx_max: Any, vy_max: Any, z_min: Any,
+    duration: Any, drivetrain: Any, yaw_mode: Any,
+) -> MotionPrimitive:  # fmt: skip
+    """Fly by the sticks of `moveByRC`."""
+    limits = (
+        check_number("vx_max", vx_max, MAX_STICK_VALUE),
+        check_number("vy_max", vy_max, MAX_STICK_VALUE),
+        check_number("z_min", z_min, MAX_STICK_VALUE),
+    )
+    heading = _read_heading(drivetrain, yaw_mode)
+    return ManualFlight(world, i, vehicle, limits, check_duration("duration", duration), heading)
+
+
+def move_to_gps(
+    world: AirsimWorld, i: int, vehicle: AirsimVehicle, latitude: Any, longitude: Any,
+    altitude: Any, speed: Any, timeout_sec: Any, drivetrain: Any, yaw_mode: Any,
+    lookahead: Any = -1, adaptive: Any = 1,
+) -> MotionPrimitive:  # fmt: skip
+    """Fly in a straight line to a geodetic position, degrees and m."""
+    point = {"latitude": latitude, "longitude": longitude, "altitude": altitude}
+    goal = read_geo_point(world, point)
+    if np.abs(goal).max() > MAX_VALUE:
+        raise ValueError(
+            f"latitude is {latitude:g}, longitude {longitude:g}, altitude {altitude:g}: a place "
+            f"within {MAX_VALUE / 1000:g} km is needed"
+        )
+    heading = _read_heading(drivetrain, yaw_mode)
+    return _make_path(world, i, [goal], speed, heading, timeout_sec, lookahead, adaptive)
+
+
 MOTIONS: Mapping[str, MotionFactory] = {
     "takeoff": take_off,
     "land": land_vehicle,
@@ -311,6 +401,8 @@ MOTIONS: Mapping[str, MotionFactory] = {
     "moveToPosition": move_to_position,
     "moveOnPath": move_on_path,
     "moveToZ": move_to_z,
+    "moveToGPS": move_to_gps,
+    "moveByManual": move_by_manual,
     "moveByVelocity": move_by_velocity,
     "moveByVelocityZ": move_by_velocity_z,
     "moveByVelocityBodyFrame": move_by_velocity_body,

@@ -47,6 +47,7 @@ class PictureQueue:
         # A thread waits for the process, so that the event loop does not block
         self._thread = ThreadPoolExecutor(1, "airsim-pictures")
         self._process: DrawingProcess | None = None
+        self._airspace = world.airspace
         self._num_exits = 0
         # Reason why rendering has stopped, and a lock between `close` and the start of the process
         self._stop_reason = ""
@@ -84,6 +85,11 @@ class PictureQueue:
                 if not is_wanted():
                     return []
                 self._require_open()
+                if self._process is not None and self._airspace is not self._world.airspace:
+                    # A vehicle was added
+                    process, self._process, poses = self._process, None, None
+                    await run(self._thread, process.close)
+                    self._require_open()
                 if self._process is None:
                     await run(self._thread, self._start)
                     # The queue may have been closed meanwhile
@@ -107,7 +113,8 @@ class PictureQueue:
             with self._closing:
                 self._require_open()
                 self._process = DrawingProcess()
-            self._process.prepare(self._world.airspace.scene_contents)
+            self._airspace = self._world.airspace
+            self._process.prepare(self._airspace.scene_contents)
         except (OSError, EOFError) as error:
             raise self._handle_exit(error) from error
 

@@ -421,7 +421,7 @@ def _read_camera(part: _Section, defaults: CameraSettings) -> CameraSettings:
                 f"{one.name('Width')} is {width} and Height {height}: at most {MAX_PIXELS} pixels "
                 f"are possible"
             )
-        view = math.radians(one.number("FOV_Degrees", math.degrees(view), 1.0, 170.0))
+        view = math.radians(one.number("FOV_Degrees", math.degrees(view), 5.0, 170.0))
         # Type -1 is the window of the program, which there is none of
         if kind >= 0:
             captures[kind] = Capture((width, height), view)

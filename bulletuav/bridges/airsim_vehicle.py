@@ -1,6 +1,7 @@
 """A vehicle of AirSim's API: control, arming, motion, collision, cameras and range finders."""
 
 from collections.abc import Mapping
+from typing import NamedTuple
 
 import numpy as np
 
@@ -31,6 +32,21 @@ class Collision:
         self.depth = 0.0
 
 
+class RemoteControl(NamedTuple):
+    """Sticks of a remote control, whose full deflection is 10,000, as in AirSim.
+
+    Attributes:
+        roll, pitch, throttle, yaw: Deflections: right, forward, up, clockwise.
+        is_valid: Whether a remote control is connected.
+    """
+
+    roll: float = 0.0
+    pitch: float = 0.0
+    throttle: float = 0.0
+    yaw: float = 0.0
+    is_valid: bool = False
+
+
 class AirsimVehicle:
     """State of one vehicle: control, arming, motion and collision.
 
@@ -43,6 +59,7 @@ class AirsimVehicle:
         is_api_controlled: Whether a client has API control.
         is_armed: Whether the motors are armed.
         collision: Last collision.
+        remote: Sticks that a client sent last.
         is_standing: Whether the vehicle touches a surface that it can stand on.
     """
 
@@ -71,6 +88,7 @@ class AirsimVehicle:
         self._motion = MotorsOff()
         self.is_api_controlled = self.is_armed = False
         self.collision, self.is_standing = Collision(), True
+        self.remote = RemoteControl()
 
     @property
     def is_flying(self) -> bool:

@@ -2,7 +2,7 @@
 
 import functools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -14,6 +14,7 @@ from bulletuav.bridges.airsim_values import attitude_from_airsim, yaw_from_airsi
 from bulletuav.bridges.airsim_vehicle import AirsimVehicle, Collision
 from bulletuav.bridges.setpoints import SetpointController, State, apply_commands, make_airspace
 from bulletuav.earth import Origin, ned_to_enu
+from bulletuav.envs.airspace import Airspace
 from bulletuav.errors import as_int, as_sequence, former_names, points_of, shown, unknown
 from bulletuav.geometry.rotation import from_euler
 from bulletuav.vehicle.airframes import load_airframe
@@ -27,8 +28,14 @@ SPACING = 2.0
 """Default distance between neighbours at the start, m"""
 MIN_COLLISION_SPEED = 1.0
 """Minimum impact speed at which ground contact counts as a collision, m/s"""
-MAX_VEHICLES = 256
-"""Maximum number of vehicles"""
+MAX_VEHICLES, MAX_NAME = 256, 64
+"""Maximum number of vehicles, and maximum length of the name of an added one"""
+CLEARANCE = 100.0
+"""Height above all others at which a new vehicle is created before it is placed, m"""
+LABEL_COLOURS = np.array(
+    [(135, 206, 235), (80, 120, 60), (150, 150, 150), (220, 60, 50), (60, 90, 220)], dtype=np.uint8
+)
+"""Default RGB colours of the labels sky, land, building, obstacle, drone"""
 DEFAULT_NAMES = ("SimpleFlight", "PX4")
 """Names of AirSim's default vehicles, which also mean a single vehicle of another name"""
 
@@ -42,6 +49,8 @@ class AirsimWorld:
         external_cameras: Cameras that stand in the world, by name.
         settings: Settings of the world.
         origin: Geodetic position of the origin of the airspace.
+        segmentation_ids: Segmentation id of each label; -1 before one is set.
+        label_colours: (5, 3) uint8 RGB colours of the labels; replaced, never changed.
         paused: Whether simulated time stands still.
         acceleration: (N, 3) accelerations in the last step, m/s^2, east, north, up.
         angular_acceleration: (N, 3) angular accelerations in the last step, rad/s^2, body axes
@@ -86,6 +95,7 @@ class AirsimWorld:
                 f"decision_hz is fixed at {DECISION_HZ} for clients of AirSim: leave it out"
             )
         self.vehicles = {name: self._make_vehicle(name, one) for name, one in vehicles.items()}
+        self.segmentation_ids, self.label_colours = [-1] * len(LABEL_COLOURS), LABEL_COLOURS
         self.external_cameras = make_external_cameras(settings.external_cameras)
         # Options of the caller override the defaults
         wind = {} if settings.wind is None else {"wind": tuple(ned_to_enu(settings.wind).tolist())}
@@ -139,6 +149,49 @@ class AirsimWorld:
         Motions use this clock, so that they repeat to the last bit.
         """
         return self._ticks / DECISION_HZ
+
+    def add_vehicle(self, name: str, settings: VehicleSettings) -> None:
+        """Add a vehicle, at the next free place to the east of its own.
+
+        An airspace has a fixed number of drones. Therefore a new one replaces it, with the states
+        of the vehicles and obstacles; gusts start again.
+
+        Args:
+            name: Name of the vehicle.
+            settings: Its place, cameras and sensors.
+
+        Raises:
+            ValueError: If the name is not free, there is no free place, or the airspace has bodies
+                of `add_body`.
+        """
+        check_new_name(name, self.vehicles)
+        old = self.airspace
+        if len(old.world.engine.scenery.bodies.reach):
+            raise ValueError("no vehicle can be added to an airspace with bodies of add_body")
+        vehicle = self._make_vehicle(name, settings)
+        swarm, state, count = old.swarm, old.world.state, len(self.vehicles)
+        above = np.array((0.0, 0.0, swarm.position[:, 2].max() + CLEARANCE))
+        airspace = make_airspace(
+            np.vstack([swarm.position, vehicle.start + above]),
+            self._airframe,
+            **self._options,
+            quaternion=np.vstack([swarm.quaternion, vehicle.attitude]),
+        )
+        try:
+            airspace.set_wind(old.world.wind.steady[0].tolist())
+            for k in range(state.obstacle.shape[1]):
+                pose = (state.obstacle[0, k].tolist(), state.obstacle_turn[0, k].tolist())
+                airspace.place_obstacle(k, *pose, state.obstacle_velocity[0, k].tolist())
+            airspace.place(list(range(count)), *(array.tolist() for array in swarm))
+            _place_beside(airspace, count, vehicle)
+        except ValueError:
+            airspace.close()
+            raise
+        self._start_time = self.time
+        self.airspace, self.vehicles = airspace, {**self.vehicles, name: vehicle}
+        old.close()
+        for field in ("_velocity", "_rates", "acceleration", "angular_acceleration"):
+            setattr(self, field, np.vstack([getattr(self, field), np.zeros(3)]))
 
     def vehicle(self, name: Any) -> tuple[int, AirsimVehicle]:
         """Return the index of a vehicle, and the vehicle.
@@ -232,14 +285,23 @@ class AirsimWorld:
             return f"Obstacle{FIRST_OBSTACLE - other}"
         return {GROUND: "Ground", CITY: "Building"}[other]
 
-    def place(self, i: int, position: np.ndarray, orientation: np.ndarray) -> None:
-        """Place a vehicle at rest; a flying vehicle holds the position.
+    def place(
+        self,
+        i: int,
+        position: np.ndarray,
+        orientation: np.ndarray,
+        velocity: Sequence[float] = (0.0, 0.0, 0.0),
+        rates: Sequence[float] = (0.0, 0.0, 0.0),
+    ) -> None:
+        """Place a vehicle, by default at rest; a flying vehicle then holds the position.
 
         Args:
             i: Index of the vehicle.
             position: (3,) position north, east, down of the vehicle's start, m; NaN leaves a
                 coordinate unchanged.
             orientation: (4,) quaternion x, y, z, w (FRD to NED); NaN leaves the attitude unchanged.
+            velocity: (3,) east, north, up, m/s.
+            rates: (3,) angular velocity in body axes (FLU), rad/s.
 
         Raises:
             ValueError: If the vehicle would overlap another object; nothing changes then.
@@ -257,7 +319,9 @@ class AirsimWorld:
         )
         rotor_speed = "hover" if vehicle.is_flying else 0.0
         # Lists, because errors show their numbers plainly
-        place = functools.partial(self.airspace.place, i, rotor_speed=rotor_speed)
+        place = functools.partial(
+            self.airspace.place, i, velocity=velocity, rates=rates, rotor_speed=rotor_speed
+        )
         try:
             place(target.tolist(), attitude.tolist())
         except ValueError:
@@ -271,7 +335,8 @@ class AirsimWorld:
 
     def _reset_accelerations(self, drones: Any) -> None:
         """Clear the velocity differences of drones that were placed."""
-        self._velocity[drones] = self._rates[drones] = 0.0
+        self._velocity[drones] = self.airspace.swarm.velocity[drones]
+        self._rates[drones] = self.airspace.swarm.rates[drones]
         self.acceleration[drones] = self.angular_acceleration[drones] = 0.0
 
     def reset(self) -> None:
@@ -291,6 +356,34 @@ class AirsimWorld:
     def close(self) -> None:
         """Close the airspace."""
         self.airspace.close()
+
+
+def check_new_name(name: str, names: Collection[str]) -> None:
+    """Raise ValueError if a new vehicle cannot have a name."""
+    if not 0 < len(name) <= MAX_NAME or not name.isprintable() or name in names:
+        raise ValueError(
+            f"vehicle_name is {shown(name)}: a new name of 1 to {MAX_NAME} printable letters is "
+            f"needed"
+        )
+    if len(names) >= MAX_VEHICLES:
+        raise ValueError(f"there are {MAX_VEHICLES} vehicles, which is the maximum")
+
+
+def _place_beside(airspace: Airspace, i: int, vehicle: AirsimVehicle) -> None:
+    """Place a new drone at its start, or at the next free place to the east.
+
+    Raises:
+        ValueError: If there is no free place.
+    """
+    for k in range(MAX_VEHICLES + 1):
+        try:
+            airspace.place(i, vehicle.start.tolist(), vehicle.attitude)
+        except ValueError:
+            if k == MAX_VEHICLES:
+                raise
+            vehicle.start[0] += SPACING
+        else:
+            return
 
 
 def _list_vehicles(

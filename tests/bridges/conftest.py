@@ -1,10 +1,12 @@
 import threading
 
 import pytest
+from bridges.airsim_world_client import Client
 from bridges.crtp_client import Drone
 from bridges.mavlink_client import Station
 
 from bulletuav.bridges import airsim_pictures
+from bulletuav.bridges.airsim_world import AirsimWorld
 from bulletuav.bridges.crazyflie_fleet import CrazyflieFleet
 from bulletuav.bridges.mavlink_fleet import MavlinkFleet
 
@@ -94,3 +96,17 @@ def draw_by(monkeypatch):
         monkeypatch.setattr(airsim_pictures, "DrawingProcess", process)
 
     return replace
+
+
+@pytest.fixture
+def make_client():
+    """Makes worlds of AirSim's vehicles with a client, and closes them."""
+    made = []
+
+    def make(*args, **options):
+        made.append(Client(AirsimWorld(*args, **{"seed": 0, **options})))
+        return made[-1]
+
+    yield make
+    for client in made:
+        client.world.close()

@@ -6,11 +6,12 @@ import re
 
 import numpy as np
 import pytest
+from bridges.airsim_world_client import FREE, RATE, VECTOR, pose, request, vector
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
 from bulletuav.bridges import airsim_world
-from bulletuav.bridges.airsim_calls import CONTINUE_CALLS, IMAGE_CALLS, AirsimCalls
+from bulletuav.bridges.airsim_calls import CONTINUE_CALLS, IMAGE_CALLS
 from bulletuav.bridges.airsim_motions import MOTIONS
 from bulletuav.bridges.airsim_settings import parse_settings
 from bulletuav.bridges.airsim_values import (
@@ -25,88 +26,8 @@ from bulletuav.bridges.motions import PATH_ACCELERATION, TrapezoidalProfile
 from bulletuav.earth import enu_to_ned, pressure
 from bulletuav.geometry.obstacle import Obstacle
 
-RATE = {"is_rate": True, "yaw_or_rate": 0.0}
-FREE = (0, RATE)
-"""Drivetrain and yaw mode"""
-VECTOR = ("x_val", "y_val", "z_val")
 STILL = {"w_val": 0.0, "x_val": 0.0, "y_val": 0.0, "z_val": 0.0}
 """A quaternion without length"""
-
-
-def vector(*numbers):
-    return dict(zip(VECTOR, numbers, strict=True))
-
-
-def pose(place, yaw=0.0):
-    """A pose north, east, down, with a yaw clockwise from north, degrees."""
-    half = math.radians(yaw) / 2
-    turn = {"w_val": math.cos(half), **vector(0.0, 0.0, math.sin(half))}
-    return {"position": vector(*place), "orientation": turn}
-
-
-class Client:
-    """Calls a world, and waits for motions."""
-
-    def __init__(self, world):
-        self.world, self.calls = world, AirsimCalls(world)
-
-    def __call__(self, name, *arguments):
-        return self.calls.call(name, list(arguments))
-
-    def begin(self, name, *arguments):
-        """Begin a motion; returns the list that its outcome comes into."""
-        reported = []
-        self.calls.start_motion(name, list(arguments), reported.append)
-        return reported
-
-    def fly(self, seconds):
-        for _ in range(self.calls.parse_steps("simContinueForTime", [seconds])):
-            self.world.step()
-
-    def join(self, name, *arguments, most=30.0):
-        """Do a motion to its end; returns the outcome and how long it took."""
-        begin, reported = self.world.time, self.begin(name, *arguments)
-        while not reported and self.world.time - begin < most:
-            self.world.step()
-        return reported[0], self.world.time - begin
-
-    def ready(self, vehicle=""):
-        self("enableApiControl", True, vehicle)
-        assert self("armDisarm", True, vehicle) is True
-
-    def at(self, place, vehicle="", yaw=0.0):
-        """Put a vehicle into the air, north, east, down, where it stays."""
-        self.ready(vehicle)
-        self.begin("hover", vehicle)
-        self("simSetVehiclePose", pose(place, yaw), True, vehicle)
-
-    def read(self, *keys, vehicle=""):
-        reported = self("getMultirotorState", vehicle)["kinematics_estimated"]
-        return [reported[key][axis] for key in keys for axis in VECTOR]
-
-    def place(self, vehicle=""):
-        return self.read("position", vehicle=vehicle)
-
-    def velocity(self):
-        return self.read("linear_velocity")
-
-    def yaw(self, vehicle=""):
-        turn = self("simGetVehiclePose", vehicle)["orientation"]
-        axes = [turn[f"{axis}_val"] for axis in "xyzw"]
-        return math.degrees(Rotation.from_quat(axes).as_euler("ZYX")[0])
-
-
-@pytest.fixture
-def make_client():
-    made = []
-
-    def make(*args, **options):
-        made.append(Client(AirsimWorld(*args, **{"seed": 0, **options})))
-        return made[-1]
-
-    yield make
-    for client in made:
-        client.world.close()
 
 
 @pytest.fixture
@@ -420,10 +341,6 @@ def test_beams_of_the_lidar_end_on_what_is_there(make_client):
     np.testing.assert_allclose(wall[:, 1], 5.0, atol=0.1)
 
 
-def request(camera, kind, **more):
-    return {"camera_name": camera, "image_type": kind, **more}
-
-
 def test_pictures(make_client):
     client = make_client(obstacles=(Obstacle("box", (2.0, 0.5, 2.0)),))
     client.world.airspace.place_obstacle(0, (0.0, 4.25, 3.0))
@@ -493,6 +410,21 @@ def test_wind_blows(client):
         ("simSetWind", [vector(0.0, math.nan, 0.0)], "finite numbers are needed"),
         ("simGetImages", [7, ""], "requests is 7"),
         ("armDisarm", [True, ""], "enableApiControl"),
+        ("simSetCameraPose", ["9", pose((0, 0, 0)), "", False], "unknown camera '9'"),
+        ("simGetCameraInfo", ["0", "", True], "does not stand in the world"),
+        ("simGetCameraInfo", ["0", "", 1], "external is 1"),
+        ("simSetCameraFov", ["0", 180, "", False], "fov_degrees is 180"),
+        ("simListSceneObjects", ["(a+)+"], "name_regex is"),
+        ("simListSceneObjects", ["[a"], "name_regex is"),
+        ("simListSceneObjects", ["a*b*c*d*"], "name_regex is"),
+        ("simAddVehicle", ["Ann", "PhysXCar", pose((0, 0, 0)), ""], "unknown vehicle_type"),
+        ("simAddVehicle", ["SimpleFlight", "SimpleFlight", pose((0, 0, 0)), ""], "a new name"),
+        ("simAddVehicle", ["A" * 65, "SimpleFlight", pose((0, 0, 0)), ""], "a new name"),
+        ("moveByRC", [{"roll": 0.0}, ""], "pitch is None"),
+        ("simSetKinematics", [1, True, ""], "a map of a KinematicsState"),
+        ("simTestLineOfSightToPoint", [{"latitude": 91.0}, ""], "latitude is 91"),
+        ("simGetDetections", ["0", 12, "", False], "image_type is 12"),
+        ("simAddDetectionFilterMeshName", ["0", 0, "****", "", False], "mesh_name is"),
     ],
 )
 def test_calls_that_cannot_be_are_told(client, name, arguments, said):
@@ -524,7 +456,9 @@ def test_motions_that_cannot_be_leave_the_drone_as_it_was(client, name, argument
 
 
 BOOL, TEXT, NUMBER, TIME, WHOLE, VECTORS, POSE, PATH = range(8)
-YAW_MODE, REQUESTS, CAMERA, VEHICLE = range(8, 12)
+YAW_MODE, REQUESTS, CAMERA, VEHICLE, STATE, REMOTE, GEO, COLOUR, POINTS, TEXTS, POSES, ANGLE = (
+    range(8, 20)
+)
 """Kinds of arguments"""
 GOOD = {
     BOOL: True,
@@ -539,7 +473,18 @@ GOOD = {
     REQUESTS: [{"camera_name": "0", "image_type": 0, "pixels_as_float": False, "compress": True}],
     CAMERA: "0",
     VEHICLE: "",
+    STATE: pose((0, 0, -5))
+    | {"linear_velocity": vector(1.0, 0.0, 0.0), "angular_velocity": vector(0.0, 0.0, 1.0)},
+    REMOTE: dict.fromkeys(("roll", "pitch", "throttle", "yaw"), 0.5) | {"is_valid": True},
+    GEO: {"latitude": 47.64, "longitude": -122.14, "altitude": 150.0},
+    POINTS: [vector(1.0, 0.0, 0.0)],
+    COLOUR: [1.0, 0.0, 0.0, 1.0],
+    TEXTS: ["a"],
+    ANGLE: 60.0,
+    POSES: [pose((0, 0, -5))],
 }
+SEEN = (CAMERA, WHOLE)
+PLOT = (COLOUR, NUMBER, NUMBER)
 MOVE, LOOK = (NUMBER, TIME, WHOLE, YAW_MODE, NUMBER, NUMBER, VEHICLE), (TIME, WHOLE, YAW_MODE)
 ARGUMENTS = {
     "ping": (),
@@ -570,6 +515,32 @@ ARGUMENTS = {
     "getGpsData": (TEXT, VEHICLE),
     "getLidarData": (TEXT, VEHICLE),
     "getDistanceSensorData": (TEXT, VEHICLE),
+    "simSetKinematics": (STATE, BOOL, VEHICLE),
+    "moveByRC": (REMOTE, VEHICLE),
+    "simSetCameraPose": (CAMERA, POSE, VEHICLE),
+    "simSetCameraFov": (CAMERA, ANGLE, VEHICLE),
+    "simGetCameraInfo": (CAMERA, VEHICLE),
+    "simAddDetectionFilterMeshName": (*SEEN, TEXT, VEHICLE),
+    "simSetDetectionFilterRadius": (*SEEN, NUMBER, VEHICLE),
+    "simClearDetectionMeshNames": (*SEEN, VEHICLE),
+    "simGetDetections": (*SEEN, VEHICLE),
+    "simListSceneObjects": (TEXT,),
+    "simGetObjectPose": (TEXT,),
+    "simSetObjectPose": (TEXT, POSE, BOOL),
+    "simTestLineOfSightToPoint": (GEO, VEHICLE),
+    "simTestLineOfSightBetweenPoints": (GEO, GEO),
+    "simGetWorldExtents": (),
+    "simSetSegmentationObjectID": (TEXT, WHOLE, BOOL),
+    "simGetSegmentationObjectID": (TEXT,),
+    "simPlotPoints": (POINTS, *PLOT, BOOL),
+    "simPlotLineStrip": (POINTS, *PLOT, BOOL),
+    "simPlotLineList": (POINTS, *PLOT, BOOL),
+    "simPlotArrows": (POINTS, POINTS, COLOUR, NUMBER, NUMBER, NUMBER, BOOL),
+    "simPlotStrings": (TEXTS, POINTS, NUMBER, COLOUR, NUMBER),
+    "simPlotTransforms": (POSES, NUMBER, NUMBER, NUMBER, BOOL),
+    "simPlotTransformsWithNames": (POSES, TEXTS, NUMBER, NUMBER, NUMBER, COLOUR, NUMBER),
+    "simFlushPersistentMarkers": (),
+    "simSetTraceLine": (COLOUR, NUMBER, VEHICLE),
     "simContinueForTime": (TIME,),
     "simContinueForFrames": (WHOLE,),
     "simGetImage": (CAMERA, WHOLE, VEHICLE),
@@ -580,6 +551,8 @@ ARGUMENTS = {
     "hover": (VEHICLE,),
     "moveToPosition": (NUMBER, NUMBER, NUMBER, *MOVE),
     "moveOnPath": (PATH, *MOVE),
+    "moveToGPS": (*(NUMBER,) * 3, *MOVE),
+    "moveByManual": (*(NUMBER,) * 3, *LOOK, VEHICLE),
     "moveToZ": (NUMBER, NUMBER, TIME, YAW_MODE, NUMBER, NUMBER, VEHICLE),
     "rotateToYaw": (NUMBER, TIME, NUMBER, VEHICLE),
     "rotateByYawRate": (NUMBER, TIME, VEHICLE),
@@ -629,7 +602,7 @@ def fits(kind, value):
     is_number = isinstance(value, int | float) and value is not True and math.isfinite(value)
     if kind in (NUMBER, TIME):  # long times are cut
         return is_number and (value >= 0 if kind == TIME else abs(value) < 1e5)
-    return kind == REQUESTS and value == []
+    return kind in (REQUESTS, POINTS, TEXTS, POSES) and value == []
 
 
 def parts_of(kind):
@@ -638,7 +611,11 @@ def parts_of(kind):
     if kind == VECTORS:
         for key in good:
             yield from ((good | {key: odd}, NUMBER, odd) for odd in ODD)
-    elif kind == PATH:
+    elif kind in (STATE, REMOTE, GEO):
+        for key, value in good.items():
+            wanted = BOOL if isinstance(value, bool) else NUMBER if kind != STATE else STATE
+            yield from ((good | {key: odd}, wanted, odd) for odd in ODD)
+    elif kind in (PATH, POINTS):
         yield from (([part], *rest) for part, *rest in parts_of(VECTORS))
     elif kind == POSE:
         # What is NaN stays as it is
@@ -685,9 +662,12 @@ def try_call(calls, name, arguments):
 def test_all_calls_check_all_their_arguments(make_client):
     """Odd ones are one clear error, or values that were meant; never anything else."""
     sensors = {"Distance": {"SensorType": 5}}
-    client = make_client(lidar=True, settings=parse_settings({"DefaultSensors": sensors}))
+    settings = parse_settings({"DefaultSensors": sensors})
+    # The home is where `moveToGPS` with its good arguments flies
+    client = make_client(lidar=True, settings=settings, home=(1.0, 1.0, 1.0))
     client.at((0, 0, -5))
-    assert sorted(ARGUMENTS) == client.calls.list_names()
+    # Names of added vehicles can only be used once
+    assert sorted([*ARGUMENTS, "simAddVehicle"]) == client.calls.list_names()
     for name, kinds in ARGUMENTS.items():
         client.ready()
         assert try_call(client.calls, name, [GOOD[kind] for kind in kinds]) is None
