@@ -95,7 +95,8 @@ class Table:
         packages: Packages of the client whose versions the page lists.
         pattern: Files that are examples, such as "**/*.py".
         skip: Files that are no examples, by their names, with the reason.
-        forbid: Texts that neither an example that runs nor its server prints.
+        forbid: Regular expressions of lines that neither an example that runs nor its server
+            prints.
         defaults: Entries of `Example` for all examples.
         examples: Entries of `Example` by file.
     """
@@ -107,7 +108,7 @@ class Table:
     packages: Sequence[str] = ()
     pattern: str = "*.py"
     skip: Mapping[str, str] = field(default_factory=dict)
-    forbid: Sequence[str] = ("Traceback (most recent call last)",)
+    forbid: Sequence[str] = ("^Traceback ",)
     defaults: Mapping[str, Any] = field(default_factory=dict)
     examples: Mapping[str, Any] = field(default_factory=dict)
 
@@ -283,9 +284,8 @@ def find_problem(
     """
     if code is None and not example.endless:
         return f"it did not end in {example.limit:g} s"
-    for forbidden in table.forbid:
-        if forbidden in everything:
-            line = next(line for line in everything.splitlines() if forbidden in line)
+    for line in everything.splitlines():
+        if any(re.search(pattern, line) for pattern in table.forbid):
             is_traceback = line.startswith("Traceback")
             return text.strip().splitlines()[-1] if is_traceback and text.strip() else line
     if code:
@@ -371,6 +371,8 @@ def main(words: Sequence[str] | None = None) -> int:
     parser.add_argument("--out", type=Path, help="page to write")
     parser.add_argument("--logs", type=Path, help="folder for what examples and servers print")
     given = parser.parse_args(words)
+    # So that servers end, too
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
     table: Table = make(Table, read_yaml(given.table), str(given.table))
     examples = table.find(given.examples)
     # A relative path would be one of the example's folder; links stay, as in an environment

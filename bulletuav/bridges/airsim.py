@@ -15,17 +15,19 @@ import contextlib
 import logging
 import time
 from collections.abc import Awaitable, Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 from bulletuav.bridges.airsim_calls import (
     CONTINUE_CALLS,
     IMAGE_CALLS,
     AirsimCalls,
-    ImageCall,
     NotReadyError,
 )
+from bulletuav.bridges.airsim_images import ImageCall
 from bulletuav.bridges.airsim_motions import MOTIONS
 from bulletuav.bridges.airsim_pictures import DrawingError, PictureQueue
+from bulletuav.bridges.airsim_recording import AirsimRecorder
 from bulletuav.bridges.airsim_world import AirsimWorld
 from bulletuav.bridges.sockets import LOG_NAME, open_listener
 from bulletuav.envs.pacer import Pacer
@@ -101,6 +103,7 @@ class AirsimServer:
         speed: float = 1.0,
         limits: ConnectionLimits = LIMITS,
         clock: Clock = time.monotonic,
+        recordings: Path | None = None,
     ) -> None:
         """Open the port; clients are answered while `run` runs.
 
@@ -111,9 +114,11 @@ class AirsimServer:
             speed: Real-time factor: simulated seconds per second of wall-clock time.
             limits: Limits of connections.
             clock: Function that returns the time in s, for timeouts of connections.
+            recordings: Folder for what clients record; None if they may not.
 
         Raises:
-            ValueError: If the port or the speed is out of range.
+            ValueError: If the port or the speed is out of range, or the settings of the world
+                start a recording without a folder.
             OSError: If the port is in use or the address does not exist.
             ImportError: If the package msgpack is not installed.
         """
@@ -125,7 +130,9 @@ class AirsimServer:
         self._msgpack = msgpack
         as_int("port", port, 0, 65535)
         self.world, self.host = world, host
-        self._calls = AirsimCalls(world)
+        self._recorder = AirsimRecorder(world, recordings)
+        self._calls = AirsimCalls(world, self._recorder)
+        self._recording: asyncio.Task[None] | None = None
         self._scheduler, self._pictures = TurnScheduler(), PictureQueue(world)
         self._slack = 0.0
         self.pacer = Pacer(world.airspace.period, speed, _sleep=self._record_slack)
@@ -177,6 +184,9 @@ class AirsimServer:
             pass
         finally:
             self._stopped = True
+            if self._recording is not None:
+                self._recording.cancel()
+            self._recorder.stop()
             self._pictures.close()
             await self._streams.stop()
 
@@ -186,9 +196,23 @@ class AirsimServer:
         while not self._stopped:
             if not self.world.paused:
                 self.world.step()
+                self._record()
             self._slack = 0.0
             self.pacer.wait()
             await asyncio.sleep(self._slack)
+
+    def _record(self) -> None:
+        """Start to record a row if one is due, and the last one is written."""
+        if self._recorder.is_due and (self._recording is None or self._recording.done()):
+            self._recording = asyncio.create_task(self._write_rows())
+
+    async def _write_rows(self) -> None:
+        """Record a row of each vehicle; end the recording if this is impossible."""
+        try:
+            await self._recorder.record(self._pictures)
+        except (DrawingError, OSError) as error:
+            self._recorder.stop()
+            logging.getLogger(LOG_NAME).warning("the recording ended: %s", error)
 
     async def _serve_client(self, stream: StreamConnection) -> None:
         await _Client(self, stream).serve()
@@ -209,6 +233,7 @@ class AirsimServer:
                 if self._stopped or not is_wanted():
                     return
                 self.world.step()
+                self._record()
                 yield None
 
         await self._scheduler.run(fly())

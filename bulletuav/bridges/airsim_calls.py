@@ -2,14 +2,20 @@
 
 import inspect
 from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from bulletuav.bridges import airsim_states as states
 from bulletuav.bridges.airsim_camera_calls import CameraCalls
-from bulletuav.bridges.airsim_images import ImageRequest, make_exposures, make_response
+from bulletuav.bridges.airsim_images import (
+    ImageCall,
+    ImageRequest,
+    make_exposures,
+    make_response,
+)
 from bulletuav.bridges.airsim_motions import MOTIONS
+from bulletuav.bridges.airsim_recording import AirsimRecorder
 from bulletuav.bridges.airsim_scene_calls import SceneCalls
 from bulletuav.bridges.airsim_settings import VEHICLE_TYPES, VehicleSettings
 from bulletuav.bridges.airsim_values import (
@@ -53,20 +59,6 @@ class NotReadyError(ValueError):
     """
 
 
-class ImageCall(NamedTuple):
-    """Parsed call for images.
-
-    Attributes:
-        drone: Index of the drone that carries the cameras; None for cameras in the world.
-        requests: Image requests, in order.
-        is_list: Whether the result is a list of responses, or only the bytes of one image.
-    """
-
-    drone: int | None
-    requests: list[ImageRequest]
-    is_list: bool
-
-
 class AirsimCalls:
     """Dispatcher of AirSim's calls by name.
 
@@ -74,9 +66,15 @@ class AirsimCalls:
         world: The vehicles.
     """
 
-    def __init__(self, world: AirsimWorld) -> None:
-        """Build the table of calls for a world."""
+    def __init__(self, world: AirsimWorld, recorder: AirsimRecorder | None = None) -> None:
+        """Build the table of calls for a world.
+
+        Args:
+            world: The vehicles.
+            recorder: Recorder of the server; by default one that cannot record.
+        """
         self.world = world
+        recorder = recorder or AirsimRecorder(world)
         self._table: Mapping[str, Callable[..., Any]] = {
             # The connection and the clock
             "ping": lambda: True,
@@ -89,6 +87,9 @@ class AirsimCalls:
             "listVehicles": lambda: list(world.vehicles),
             "getSettingsString": lambda: world.settings.text,
             "simSetWind": self._set_wind,
+            "startRecording": recorder.start,
+            "stopRecording": recorder.stop,
+            "isRecording": lambda: recorder.is_recording,
             # Control of a vehicle
             "enableApiControl": self._enable_api_control,
             "isApiControlEnabled": lambda name: world.vehicle(name)[1].is_api_controlled,

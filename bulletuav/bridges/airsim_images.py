@@ -70,6 +70,20 @@ class ImageRequest:
             raise ValueError("pixels_as_float is for depths: ask for image_type 1, 2 or 3")
 
 
+class ImageCall(NamedTuple):
+    """Parsed call for images.
+
+    Attributes:
+        drone: Index of the drone that carries the cameras; None for cameras in the world.
+        requests: Image requests, in order.
+        is_list: Whether the result is a list of responses, or only the bytes of one image.
+    """
+
+    drone: int | None
+    requests: list[ImageRequest]
+    is_list: bool
+
+
 class CameraView(NamedTuple):
     """View of a camera at a time.
 

@@ -6,9 +6,8 @@ import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
-from bulletuav.bridges.airsim_calls import ImageCall
 from bulletuav.bridges.airsim_drawing import DrawingProcess
-from bulletuav.bridges.airsim_images import Exposure, ImageRequest, make_exposures
+from bulletuav.bridges.airsim_images import Exposure, ImageCall, ImageRequest, make_exposures
 from bulletuav.bridges.airsim_world import AirsimWorld
 from bulletuav.bridges.sockets import LOG_NAME
 from bulletuav.engine.visual_scene import ScenePoses

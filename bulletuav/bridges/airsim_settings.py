@@ -34,6 +34,8 @@ IMAGE_SIZE, HORIZONTAL_FOV = (256, 144), math.radians(90)
 """Default width and height, pixels, and horizontal field of view, rad"""
 VEHICLE_TYPES = ("simpleflight", "px4multirotor", "arducopter", "arducoptersolo")
 """Types of vehicles, in lower case. All are flown by the controller of this package."""
+STATES = ("Armed", "Disarmed", "Inactive")
+"""States of a vehicle at the start; by default the first one, as in AirSim"""
 DISTANCE, LIDAR = 5, 6
 """AirSim's sensor types with beams; 1 to 4 are on every vehicle"""
 FRAMES = ("SensorLocalFrame", "VehicleInertialFrame")
@@ -113,12 +115,14 @@ class VehicleSettings(NamedTuple):
     Attributes:
         place: North, east, down of the origin, m.
         yaw: Heading, degrees clockwise from north.
+        is_armed: Whether the vehicle is armed at the start and after a reset.
         cameras: Settings of cameras by name.
         sensors: Lidars and distance sensors by name.
     """
 
     place: tuple[float, ...] = (0.0, 0.0, 0.0)
     yaw: float = 0.0
+    is_armed: bool = True
     cameras: Mapping[str, CameraSettings] = {}
     sensors: Mapping[str, BeamSensor] = {}
 
@@ -386,10 +390,14 @@ def _read_vehicle(
     kind = part.text("VehicleType", VEHICLE_TYPES[0])
     if kind.lower() not in VEHICLE_TYPES:
         raise unknown(part.name("VehicleType"), kind, ("SimpleFlight", "PX4Multirotor"))
+    state = part.text("DefaultVehicleState", "") or STATES[0]
+    if state not in STATES:
+        raise unknown(part.name("DefaultVehicleState"), state, STATES)
     place = part.numbers(("X", "Y", "Z"), 0.0, MAX_DISTANCE)
     vehicle = VehicleSettings(
         place=place,
         yaw=part.number("Yaw", 0.0, -360.0, 360.0),
+        is_armed=state == STATES[0],
         cameras={
             name.replace("-", "_"): _read_camera(one, cameras)
             for name, one in part.sections("Cameras").items()

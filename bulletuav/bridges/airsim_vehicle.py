@@ -69,12 +69,13 @@ class AirsimVehicle:
         start: np.ndarray,
         controller: SetpointController,
         attitude: tuple[float, ...] = NORTH,
+        starts_armed: bool = True,
         cameras: Mapping[str, Camera] | None = None,
         range_finders: Mapping[str, RangeFinder] | None = None,
     ) -> None:
         """Create a vehicle on the ground with stopped motors."""
         self.name, self.start, self._controller = name, start, controller
-        self.attitude = attitude
+        self.attitude, self._starts_armed = attitude, starts_armed
         self.cameras, self.range_finders = cameras or {}, range_finders or {}
         self.collision = Collision()
         self._motion: MotionPrimitive = MotorsOff()
@@ -86,7 +87,7 @@ class AirsimVehicle:
         self.finish(False)
         self._controller.reset()
         self._motion = MotorsOff()
-        self.is_api_controlled = self.is_armed = False
+        self.is_api_controlled, self.is_armed = False, self._starts_armed
         self.collision, self.is_standing = Collision(), True
         self.remote = RemoteControl()
 

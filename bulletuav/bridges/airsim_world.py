@@ -138,6 +138,7 @@ class AirsimWorld:
             np.array((east, north, height)),
             SetpointController(self._airframe),
             from_euler(0.0, 0.0, yaw_from_airsim(settings.yaw)),
+            settings.is_armed,
             make_cameras(self._airframe, self.settings.cameras, settings.cameras),
             {name: RangeFinder(one) for name, one in sensors.items()},
         )

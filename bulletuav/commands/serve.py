@@ -2,6 +2,7 @@
 
 import argparse
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 from bulletuav.bridges import airsim, crazyflie, hil, mavlink
@@ -18,8 +19,9 @@ from bulletuav.errors import find_choice
 def run(arguments: argparse.Namespace) -> None:
     """Start the server of the given protocol."""
     serve = find_choice("kind of server", arguments.kind, KINDS)
-    if arguments.settings is not None and serve is not _serve_airsim:
-        raise ValueError(f"--settings has no effect on {arguments.kind}: omit it")
+    for name in ("settings", "recordings"):
+        if getattr(arguments, name) is not None and serve is not _serve_airsim:
+            raise ValueError(f"--{name} has no effect on {arguments.kind}: omit it")
     serve(arguments)
 
 
@@ -100,11 +102,12 @@ def _serve_airsim(arguments: argparse.Namespace) -> None:
         arguments.drones, frame, lidar=arguments.lidar, settings=settings, **options
     )
     world.paused = arguments.paused
+    recordings = None if arguments.recordings is None else Path(arguments.recordings)
     port = airsim.PORT if settings.port is None else settings.port
     address = _address(arguments, port, settings.clock_speed)
     _serve(
         world,
-        lambda: airsim.AirsimServer(world, *address),
+        lambda: airsim.AirsimServer(world, *address, recordings=recordings),
         lambda server: f"{', '.join(world.vehicles)} at {join_address(server.host, server.port)}",
         arguments.seconds,
     )

@@ -420,6 +420,7 @@ def test_wind_blows(client):
         ("simAddVehicle", ["Ann", "PhysXCar", pose((0, 0, 0)), ""], "unknown vehicle_type"),
         ("simAddVehicle", ["SimpleFlight", "SimpleFlight", pose((0, 0, 0)), ""], "a new name"),
         ("simAddVehicle", ["A" * 65, "SimpleFlight", pose((0, 0, 0)), ""], "a new name"),
+        ("startRecording", [], "start the server with --recordings FOLDER"),
         ("moveByRC", [{"roll": 0.0}, ""], "pitch is None"),
         ("simSetKinematics", [1, True, ""], "a map of a KinematicsState"),
         ("simTestLineOfSightToPoint", [{"latitude": 91.0}, ""], "latitude is 91"),
@@ -495,6 +496,8 @@ ARGUMENTS = {
     "simIsPaused": (),
     "listVehicles": (),
     "getSettingsString": (),
+    "stopRecording": (),
+    "isRecording": (),
     "simSetWind": (VECTORS,),
     "enableApiControl": (BOOL, VEHICLE),
     "isApiControlEnabled": (VEHICLE,),
@@ -666,8 +669,8 @@ def test_all_calls_check_all_their_arguments(make_client):
     # The home is where `moveToGPS` with its good arguments flies
     client = make_client(lidar=True, settings=settings, home=(1.0, 1.0, 1.0))
     client.at((0, 0, -5))
-    # Names of added vehicles can only be used once
-    assert sorted([*ARGUMENTS, "simAddVehicle"]) == client.calls.list_names()
+    # Names of added vehicles can only be used once, and there is no folder for recordings
+    assert sorted([*ARGUMENTS, "simAddVehicle", "startRecording"]) == client.calls.list_names()
     for name, kinds in ARGUMENTS.items():
         client.ready()
         assert try_call(client.calls, name, [GOOD[kind] for kind in kinds]) is None
@@ -688,6 +691,7 @@ def test_who_has_no_control_does_not_move(client):
     with pytest.raises(ValueError, match="enableApiControl"):
         client.begin("takeoff", 20.0, "")
     client("enableApiControl", True, "")
+    client("armDisarm", False, "")
     with pytest.raises(ValueError, match="not armed"):
         client.begin("takeoff", 20.0, "")
     assert client.place() == pytest.approx([0, 0, 0])

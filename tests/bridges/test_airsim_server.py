@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import itertools
 import logging
 import os
 import select
@@ -16,10 +17,12 @@ import time
 import msgpack
 import numpy as np
 import pytest
+from PIL import Image
 from waiting import PATIENCE, until
 
 from bulletuav.bridges import airsim, airsim_drawing
 from bulletuav.bridges.airsim import AirsimServer, TurnScheduler
+from bulletuav.bridges.airsim_settings import parse_settings
 from bulletuav.bridges.airsim_world import AirsimWorld
 from bulletuav.cli import main
 from bulletuav.serving.connections import ConnectionLimits
@@ -71,7 +74,7 @@ def serve():
     running = []
 
     def serve(drones=1, speed=20.0, **options):
-        world = AirsimWorld(drones, seed=0)
+        world = AirsimWorld(drones, seed=0, settings=options.pop("settings", None))
         # On a busy machine a client of a test may take long to send its first request
         options.setdefault("limits", ConnectionLimits(handshake=PATIENCE))
         server = AirsimServer(world, port=0, speed=speed, **options)
@@ -181,7 +184,7 @@ def test_a_connection_ends_with_the_first_message_that_is_no_request(kind, in_pi
     assert answer == b""
     vehicle = still.world.vehicle("")[1]
     assert not vehicle.is_api_controlled
-    assert not vehicle.is_armed
+    assert not vehicle.is_flying
 
 
 def test_requests_before_one_that_is_none_are_answered(still, connect):
@@ -640,12 +643,12 @@ def test_refused_motions_are_logged_with_the_remedy(serve, connect, caplog):
     for _ in range(3):
         assert client.ask("takeoff", 20.0, "") == (None, False)
         client.get("enableApiControl", True, "Drone2")
+        client.get("armDisarm", False, "Drone2")
         client.ask("moveByVelocity", *motion, "Drone2")
         client.ask("moveByVelocity", *motion, "Drone9")
         client.ask("moveByVelocite", *motion, "Drone2")
         client.get("armDisarm", True, "Drone2")
         client.ask("moveByVelocity", float("nan"), *motion[1:], "Drone2")
-        client.get("armDisarm", False, "Drone2")
     client.ask("getMultirotorState", "a\nclient 1.2.3.4:5: \x1b[31m" + "x" * 5000)
     other.ask("takeoff", 20.0, "")
     lines = [record.getMessage() for record in caplog.records]
@@ -869,3 +872,77 @@ def test_without_msgpack_the_remedy_is_told(monkeypatch):
 def test_the_command_serves_for_a_time(capsys):
     main(["serve", "airsim", "--drones", "2", "--port", "0", "--seconds", "0.05", "--paused"])
     assert "Drone1, Drone2 at 127.0.0.1:" in capsys.readouterr().out
+
+
+def recorded(folder):
+    """Rows of the only recording below a folder, and its folder."""
+    (path,) = folder.glob("*/airsim_rec.txt")
+    header, *rows = [line.split("\t") for line in path.read_text().splitlines()]
+    return [dict(zip(header, row, strict=True)) for row in rows], path
+
+
+def test_clients_record_states_and_images(serve, connect, tmp_path):
+    cameras = [
+        {"CameraName": "0", "ImageType": 1, "PixelsAsFloat": True},
+        {"CameraName": "3", "ImageType": 0, "Compress": False},
+    ]
+    capture = {
+        "CaptureSettings": [{"ImageType": kind, "Width": 32, "Height": 16} for kind in (0, 1)]
+    }
+    settings = parse_settings(
+        {
+            "Recording": {"RecordInterval": 0.1, "Cameras": cameras},
+            "CameraDefaults": capture,
+            "Vehicles": {"../Ann": {}},
+        }
+    )
+    server = serve(speed=1.0, settings=settings, recordings=tmp_path / "new")
+    client = connect(server)
+    assert client.get("isRecording") is False
+    ready(client)
+    client.get("startRecording")
+    assert client.get("isRecording") is True
+    until(lambda: recorded(tmp_path / "new")[0])
+    assert client.get("takeoff", 20.0, "") is True
+    client.get("stopRecording")
+    assert client.get("isRecording") is False
+    rows, path = recorded(tmp_path / "new")
+    assert {row["VehicleName"] for row in rows} == {"../Ann"}
+    times = [int(row["TimeStamp"]) for row in rows]
+    assert min(b - a for a, b in itertools.pairwise(times)) >= 100
+    assert float(rows[-1]["POS_Z"]) < -2 < -0.5 < float(rows[0]["POS_Z"])
+    depth, scene = rows[-1]["ImageFile"].split(";")
+    assert depth.startswith("img_.._Ann_0_1_")
+    content = (path.parent / "images" / depth).read_bytes()
+    assert content.startswith(b"Pf\n32 16\n-1\n")
+    assert len(content) == len(b"Pf\n32 16\n-1\n") + 4 * 32 * 16
+    with Image.open(path.parent / "images" / scene) as image:
+        assert image.size == (32, 16)
+
+
+def test_a_recording_can_start_with_the_server_and_skip_still_rows(serve, tmp_path):
+    settings = parse_settings(
+        {
+            "Recording": {
+                "Enabled": True,
+                "RecordOnMove": True,
+                "RecordInterval": 0.01,
+                "Cameras": [],
+            }
+        }
+    )
+    server = serve(settings=settings, recordings=tmp_path)
+    until(lambda: server.world.time > 1.0)
+    server.stop()
+    until(lambda: not server.is_running())
+    rows, _ = recorded(tmp_path)
+    assert 1 <= len(rows) < 20
+    assert rows[0]["ImageFile"] == ""
+
+
+def test_a_recording_without_a_folder_is_an_error():
+    settings = parse_settings({"Recording": {"Enabled": True}})
+    world = AirsimWorld(settings=settings)
+    with pytest.raises(ValueError, match="start the server with --recordings FOLDER"):
+        AirsimServer(world, port=0)
+    world.close()

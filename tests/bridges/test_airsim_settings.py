@@ -91,6 +91,18 @@ def test_a_file_is_read_and_ignored_keys_are_listed(tmp_path):
     )
 
 
+@pytest.mark.parametrize(("state", "is_armed"), [("", True), ("Armed", True), ("Disarmed", False)])
+def test_vehicles_are_armed_at_the_start_and_after_a_reset(state, is_armed):
+    settings = parse_settings({"Vehicles": {"Ann": {"DefaultVehicleState": state}}})
+    world = AirsimWorld(settings=settings)
+    vehicle = world.vehicle("")[1]
+    assert vehicle.is_armed is is_armed
+    vehicle.is_armed = not is_armed
+    world.reset()
+    assert vehicle.is_armed is is_armed
+    world.close()
+
+
 def test_an_empty_file_changes_nothing():
     assert parse_settings({"SeeDocsAt": "x", "SettingsVersion": 1.2}) == AirsimSettings()
 
@@ -188,6 +200,7 @@ def test_cameras_in_the_world_see_the_vehicle():
         ({"Vehicles": {"a": {"VehicleType": "PhysXCar"}}}, "Vehicles.a.VehicleType 'PhysXCar'"),
         ({"Vehicles": {"a": {"X": "1"}}}, "Vehicles.a.X is '1'"),
         ({"Vehicles": {"a": {"X": 1e300}}}, "Vehicles.a.X is 1e.300"),
+        ({"Vehicles": {"a": {"DefaultVehicleState": "x"}}}, "a.DefaultVehicleState 'x'"),
         ({"Vehicles": {"": {}}}, "Vehicles has an entry without a name"),
         ({"Vehicles": {str(k): {} for k in range(300)}}, "Vehicles has 300 entries: at most 256"),
         ({"ClockSpeed": 0}, "ClockSpeed is 0"),

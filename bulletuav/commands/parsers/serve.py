@@ -79,6 +79,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--settings", metavar="FILE", help="airsim: AirSim's settings.json: vehicles, cameras, ..."
     )
+    parser.add_argument(
+        "--recordings", metavar="FOLDER", help="airsim: folder for what clients record"
+    )
     parser.add_argument("--lidar", action="store_true", help="airsim: equip drones with a lidar")
     parser.add_argument(
         "--paused", action="store_true", help="airsim: start paused, until a client continues"
