@@ -157,6 +157,16 @@ def make(kind: type, values: Any, where: str) -> Any:
     return kind(**values)
 
 
+def read_table(path: Path) -> Table:
+    """Read a table; one with a `base` adds to the table of another file, or changes it."""
+    values = read_yaml(path)
+    if base := values.pop("base", None):
+        before = read_yaml(path.parent / base)
+        examples = {**before["examples"], **values.get("examples", {})}
+        values = {**before, **values, "examples": examples}
+    return make(Table, values, str(path))
+
+
 def run_example(
     table: Table, name: str, example: Example, folder: Path, python: str, logs: Path | None = None
 ) -> Outcome:
@@ -373,7 +383,7 @@ def main(words: Sequence[str] | None = None) -> int:
     given = parser.parse_args(words)
     # So that servers end, too
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
-    table: Table = make(Table, read_yaml(given.table), str(given.table))
+    table = read_table(given.table)
     examples = table.find(given.examples)
     # A relative path would be one of the example's folder; links stay, as in an environment
     python = os.path.abspath(given.python)

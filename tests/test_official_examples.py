@@ -8,8 +8,6 @@ from pathlib import Path
 
 import pytest
 
-from bulletuav.parsing import read_yaml
-
 ROOT = Path(__file__).parent.parent
 TABLES = sorted((ROOT / "benchmarks" / "official").glob("*.yaml"))
 SERVER = """
@@ -128,6 +126,16 @@ def test_a_table_lists_files_that_exist_and_known_entries(run):
         run({"one.py": ""}, {"one.py": {"limits": 3}})
 
 
+def test_a_table_can_add_to_another(suite, tmp_path):
+    base = {"title": "a", "source": "b", "server": ["c"], "ready": "d", "examples": {"e.py": {}}}
+    (tmp_path / "base.yaml").write_text(json.dumps(base))
+    more = {"base": "base.yaml", "title": "x", "examples": {"f.py": {"limit": 1}}}
+    (tmp_path / "more.yaml").write_text(json.dumps(more))
+    table = suite.read_table(tmp_path / "more.yaml")
+    assert (table.title, table.source) == ("x", "b")
+    assert table.examples == {"e.py": {}, "f.py": {"limit": 1}}
+
+
 def test_a_server_that_does_not_start_is_an_error(run):
     with pytest.raises(RuntimeError, match="did not start"):
         run({"one.py": ""}, {}, server=["python", "-c", "print('no')"])
@@ -135,7 +143,7 @@ def test_a_server_that_does_not_start_is_an_error(run):
 
 @pytest.mark.parametrize("path", TABLES, ids=lambda path: path.stem)
 def test_tables_are_valid(path, suite):
-    table = suite.make(suite.Table, read_yaml(path), str(path))
+    table = suite.read_table(path)
     for name, entry in table.examples.items():
         suite.make(suite.Example, {**table.defaults, **entry}, name)
 

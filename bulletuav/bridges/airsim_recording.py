@@ -11,7 +11,7 @@ from typing import IO, Any
 
 import numpy as np
 
-from bulletuav.bridges.airsim_images import ImageCall, ImageRequest
+from bulletuav.bridges.airsim_images import ImageCall, ImageRequest, make_exposures
 from bulletuav.bridges.airsim_pictures import PictureQueue
 from bulletuav.bridges.airsim_settings import RecordedCamera
 from bulletuav.bridges.airsim_states import kinematics
@@ -49,8 +49,8 @@ class AirsimRecorder:
         self._due, self._num_rows = 0.0, 0
         self._last: dict[str, Any] = {}
         for camera in world.settings.recording.cameras or ():
-            world.vehicle(camera.vehicle)
-            ImageRequest(camera.request)
+            i, _ = world.vehicle(camera.vehicle)
+            make_exposures(world, i, [ImageRequest(camera.request)])
         if world.settings.recording.enabled:
             self.start()
 

@@ -940,9 +940,17 @@ def test_a_recording_can_start_with_the_server_and_skip_still_rows(serve, tmp_pa
     assert rows[0]["ImageFile"] == ""
 
 
-def test_a_recording_without_a_folder_is_an_error():
-    settings = parse_settings({"Recording": {"Enabled": True}})
-    world = AirsimWorld(settings=settings)
-    with pytest.raises(ValueError, match="start the server with --recordings FOLDER"):
+@pytest.mark.parametrize(
+    ("recording", "message"),
+    [
+        ({"Enabled": True}, "start the server with --recordings FOLDER"),
+        ({"Cameras": [{"CameraName": "9"}]}, "unknown camera '9'"),
+        ({"Cameras": [{"VehicleName": "Ann"}]}, "unknown vehicle 'Ann'"),
+        ({"Cameras": [{"ImageType": 7}]}, "image_type is 7"),
+    ],
+)
+def test_a_recording_that_cannot_be_is_an_error(recording, message):
+    world = AirsimWorld(settings=parse_settings({"Recording": recording}))
+    with pytest.raises(ValueError, match=message):
         AirsimServer(world, port=0)
     world.close()

@@ -4,9 +4,9 @@ import math
 
 import numpy as np
 import pytest
+from bridges.airsim_world_client import FREE, Client
 from bridges.crtp_client import Drone
 from bridges.mavlink_client import MISSION, Station
-from bridges.test_airsim_calls import FREE, Client
 
 from bulletuav.bridges.airsim_world import AirsimWorld
 

@@ -15,6 +15,7 @@ from bulletuav.adapters.parquet import read_about, read_table, write_table
 from bulletuav.analysis.recording import fly_episode, load, outcomes, save
 from bulletuav.analysis.results_folder import ResultsFolder
 from bulletuav.analysis.seals import add_seal, hash_files
+from bulletuav.bridges.airsim_settings import read_settings
 from bulletuav.city.imports import from_geojson, from_obj
 from bulletuav.engine.drones import require_loadable
 from bulletuav.envs.snapshot import Snapshot, checksum_of
@@ -203,6 +204,23 @@ def make_track(folder):
 def make_csv_track(folder):
     rows = "x,y,z,yaw,shape,size\n0,0,3,0,square,1.5\n20,0,3,90,round,\n20,0,3,-90,round,\n"
     (folder / "own.csv").write_text(rows)
+
+
+def make_airsim_settings(folder):
+    camera = {"CaptureSettings": [{"ImageType": 0, "Width": 64, "FOV_Degrees": 90}], "X": 0.5}
+    sensor = {"SensorType": 6, "PointsPerSecond": 1000, "DataFrame": "SensorLocalFrame"}
+    vehicle = {"VehicleType": "SimpleFlight", "X": 4, "Cameras": {"a": camera}}
+    values = {
+        "ClockSpeed": 1.5,
+        "OriginGeopoint": {"Latitude": 47.6, "Longitude": -122.1, "Altitude": 122},
+        "Recording": {"RecordInterval": 0.1, "Cameras": [{"CameraName": "0", "ImageType": 0}]},
+        "Vehicles": {"Ann": {**vehicle, "Sensors": {"Lidar": sensor}}},
+    }
+    (folder / "settings.json").write_text(json.dumps(values))
+
+
+def read_airsim_settings(folder):
+    read_settings(folder / "settings.json")
 
 
 def make_json_track(folder):
@@ -464,6 +482,9 @@ FORMATS = {
     "track": Format("own.toml", "text", make_track, read_track, 2),
     "csv track": Format("own.csv", "text", make_csv_track, read_csv_track),
     "json track": Format("own.json", "json", make_json_track, read_json_track, 2),
+    "airsim settings": Format(
+        "settings.json", "json", make_airsim_settings, read_airsim_settings, 2
+    ),
     "run.yaml": Format("run.yaml", "yaml", make_run, read_run_yaml, 2),
     "study.yaml": Format("study.yaml", "yaml", make_study, read_study),
     "trajectory.npz": Format("trajectory.npz", "npz", make_recording, read_recording, 2),
