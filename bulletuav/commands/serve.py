@@ -60,11 +60,8 @@ def _address(
 ) -> tuple[str, int, float]:
     """Return address, port and speed."""
     port = default_port if arguments.port is None else arguments.port
-    return (
-        arguments.host,
-        port,
-        next(speed for speed in (arguments.speed, default_speed, 1.0) if speed is not None),
-    )
+    speed = default_speed if arguments.speed is None else arguments.speed
+    return arguments.host, port, 1.0 if speed is None else speed
 
 
 def _format_addresses(host: str, ports: list[int], scheme: str = "") -> str:
