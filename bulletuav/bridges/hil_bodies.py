@@ -8,11 +8,14 @@ import numpy as np
 
 from bulletuav.bridges.mavlink_fleet import HOME, SPACING
 from bulletuav.bridges.mavlink_protocol import Message, OutgoingMessage
+from bulletuav.bridges.mavlink_sensors import compute_field, measure
 from bulletuav.bridges.setpoints import (
     NORTH,
+    PX4_CORNERS,
     AirspaceCommand,
     apply_commands,
     compute_corner_speeds,
+    find_corners,
     make_airspace,
 )
 from bulletuav.bridges.starts import make_start_positions
@@ -22,10 +25,6 @@ from bulletuav.earth import (
     attitude_to_ned,
     enu_to_ned,
     flu_to_frd,
-    geopotential_height,
-    magnetic_field,
-    pressure,
-    temperature,
 )
 from bulletuav.errors import as_sequence, finite
 from bulletuav.geometry.rotation import to_body
@@ -41,8 +40,6 @@ INERTIAL_FIELDS, SLOW_FIELDS = 0b111111, 0b1111111 << 6
 temperature"""
 ARMED = 128
 """Bit of `HIL_ACTUATOR_CONTROLS.mode` that is set while the autopilot is armed"""
-GAUSS, KELVIN = 1e-4, 273.15
-"""Teslas per gauss; 0 degrees Celsius in kelvins"""
 
 
 class Noise(NamedTuple):
@@ -99,16 +96,14 @@ class HilBodies:
         airframe_data = load_airframe(airframe)
         self._airframe = airframe_data
         # Autopilots number the motors by corners: fail here if the airframe is not a quadrotor
-        compute_corner_speeds(
-            airframe_data, dict.fromkeys(((1, 1), (1, -1), (-1, 1), (-1, -1)), 0.0)
-        )
+        find_corners(airframe_data)
         self._noise = np.repeat(Noise(), (3, 3, 3, 1)) * finite("noise", noise, 0.0, 100.0)
         self._starts = make_start_positions(drones, airframe_data.standing_height, SPACING)
         if "decision_hz" in options:
             raise ValueError(f"decision_hz is fixed at {STEP_HZ} for autopilots: leave it out")
         self.origin = Origin(*as_sequence("home", home, 3))
         # Magnetic field at home, in gauss as MAVLink defines it
-        self._field = magnetic_field(*as_sequence("home", home, 3)) / GAUSS
+        self._field = compute_field(tuple(as_sequence("home", home, 3)))
         airspace_options = {
             "physics_hz": 2 * STEP_HZ,
             "decision_hz": STEP_HZ,
@@ -156,20 +151,13 @@ class HilBodies:
     def _make_sensor_messages(self, i: int, noise: np.ndarray) -> list[OutgoingMessage]:
         """Return the sensor messages of vehicle `i`: HIL_SENSOR, and HIL_GPS when it is due."""
         swarm = self.airspace.swarm
-        x, y, z = self._acceleration[i].tolist()
-        attitude = swarm.quaternion[i]
-        # Forward, right, down. An accelerometer measures specific force: at rest, gravity upwards
-        force = flu_to_frd(to_body(attitude, (x, y, z + STANDARD_GRAVITY))) + noise[:3]
-        rates = flu_to_frd(swarm.rates[i]) + noise[3:6]
-        field = flu_to_frd(to_body(attitude, self._field)) + noise[6:9]
-        # Absolute and differential pressure in hPa; then pressure altitude and temperature
         height = float(self.origin.altitude + swarm.position[i, 2])
-        pressures = (float(pressure(height)) / 100 + float(noise[9]), 0.0)
-        baro = (float(geopotential_height(height)), float(temperature(height)) - KELVIN)
+        acceleration = self._acceleration[i].tolist()
+        values = measure(swarm.quaternion[i], swarm.rates[i], acceleration, self._field, height)
+        values[:10] += noise
         # Only updated fields are flagged; slow sensors measure in some of the steps
         updated = INERTIAL_FIELDS | (SLOW_FIELDS if self.tick % SLOW_STEPS == 0 else 0)
-        values = (*force.tolist(), *rates.tolist(), *field.tolist(), *pressures, *baro)
-        messages = [OutgoingMessage("hil_sensor", (self.stamp, *values, updated))]
+        messages = [OutgoingMessage("hil_sensor", (self.stamp, *values.tolist(), updated))]
         if self.tick % GPS_STEPS == 0:
             messages.append(self._make_gps_message(i))
         return messages
@@ -217,7 +205,7 @@ class HilBodies:
             min(max(control, 0.0), 1.0) if math.isfinite(control) else 0.0
             for control in message.controls[:4]
         ]
-        corners = dict(zip(((1, -1), (-1, 1), (1, 1), (-1, -1)), fractions, strict=True))
+        corners = dict(zip(PX4_CORNERS, fractions, strict=True))
         self._commands[i] = AirspaceCommand(
             SetpointLevel.ROTOR, compute_corner_speeds(self._airframe, corners)
         )

@@ -5,14 +5,30 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 from bulletuav.bridges.mavlink_coordinates import GLOBAL_FRAMES
-from bulletuav.bridges.mavlink_protocol import Command, Message, Mode, OutgoingMessage, RefusedError
+from bulletuav.bridges.mavlink_motions import FACE_TANGENT, OrbitPlan
+from bulletuav.bridges.mavlink_protocol import (
+    Command,
+    CommandResult,
+    Message,
+    Mode,
+    OutgoingMessage,
+    RefusedError,
+    text,
+)
 from bulletuav.bridges.mavlink_telemetry import TelemetryRates, make_message
 from bulletuav.bridges.mavlink_vehicle import MavlinkVehicle
+from bulletuav.bridges.motions import PATH_ACCELERATION
 
 FORCE_DISARM_MAGIC = 21196
 """Second parameter of a command that disarms in the air"""
+INFO = 6
+"""Severity of an information"""
 UNSET_INT32 = 2**31 - 1
 AUTOPILOT_VERSION, HOME_POSITION = 148, 242
+DEFAULT_ORBIT_SPEED, MAX_ORBIT_RADIUS = 1.0, 1000.0
+"""Speed of an orbit without one (m/s), and maximum radius (m), as in PX4"""
+CALIBRATIONS = {(1, 1): "gyro", (2, 1): "mag", (5, 1): "accel", (5, 2): "level"}
+"""Sensors by the number and the value of a parameter of `Command.CALIBRATE`"""
 CUSTOM_MODE_ENABLED = 1
 """Bit of a base mode that announces PX4's custom modes (MAV_MODE_FLAG_CUSTOM_MODE_ENABLED)"""
 
@@ -87,20 +103,68 @@ def _reposition(
     vehicle: MavlinkVehicle, streams: TelemetryRates, request: CommandRequest
 ) -> Sequence[OutgoingMessage]:
     """Fly to a position; unset coordinates keep the vehicle's present ones."""
-    speed, _, _, yaw, latitude, longitude, altitude = request.params
-    x, y, z = vehicle.pilot.state[0]
-    if math.isfinite(latitude + longitude):
-        height = altitude if math.isfinite(altitude) else vehicle.site.altitude
-        px, py, pz = vehicle.site.from_global(request.frame, latitude, longitude, height)
-        position = (px, py, pz if math.isfinite(altitude) else z)
-    else:
-        above = altitude - (vehicle.site.altitude if request.frame in GLOBAL_FRAMES else 0.0)
-        position = (x, y, vehicle.site.start[2] + above if math.isfinite(altitude) else z)
+    speed, _, _, yaw, *_ = request.params
+    position = _read_position(vehicle, request)
     if speed > 0:
         vehicle.pilot.route.speed = speed
     yaw_enu = math.pi / 2 - yaw if math.isfinite(yaw) else None
     vehicle.pilot.go_to(position, yaw_enu)
     return ()
+
+
+def _read_position(vehicle: MavlinkVehicle, request: CommandRequest) -> tuple[float, float, float]:
+    """Return the position of parameters 5 to 7; unset coordinates are the vehicle's, m."""
+    latitude, longitude, altitude = request.params[4:]
+    x, y, z = vehicle.pilot.state[0]
+    if math.isfinite(latitude + longitude):
+        height = altitude if math.isfinite(altitude) else vehicle.site.altitude
+        px, py, pz = vehicle.site.from_global(request.frame, latitude, longitude, height)
+        return px, py, pz if math.isfinite(altitude) else z
+    above = altitude - (vehicle.site.altitude if request.frame in GLOBAL_FRAMES else 0.0)
+    return x, y, vehicle.site.start[2] + above if math.isfinite(altitude) else z
+
+
+def _orbit(
+    vehicle: MavlinkVehicle, streams: TelemetryRates, request: CommandRequest
+) -> Sequence[OutgoingMessage]:
+    """Fly a circle: radius (negative: counter-clockwise), speed, yaw behaviour, centre."""
+    radius, speed, behavior, *_ = request.params
+    speed = abs(speed) if math.isfinite(speed) else DEFAULT_ORBIT_SPEED
+    behavior = behavior if math.isfinite(behavior) else 0.0
+    if not 1 <= abs(radius) <= MAX_ORBIT_RADIUS:
+        raise RefusedError(f"orbit: radius from 1 to {MAX_ORBIT_RADIUS:g} m is needed")
+    if not 0 < speed**2 <= PATH_ACCELERATION * abs(radius):
+        raise RefusedError("orbit: speed is 0, or too fast for the radius")
+    if behavior not in range(FACE_TANGENT + 1):
+        raise RefusedError(f"orbit: yaw behaviour from 0 to {FACE_TANGENT} is needed")
+    center = _read_position(vehicle, request)
+    vehicle.pilot.orbit(OrbitPlan(center, abs(radius), speed, radius > 0, int(behavior)))
+    return ()
+
+
+def _inject_failure(
+    vehicle: MavlinkVehicle, streams: TelemetryRates, request: CommandRequest
+) -> Sequence[OutgoingMessage]:
+    """Let a unit fail, or repair it."""
+    unit, kind = request.get_int(1), request.get_int(2)
+    instance = 0 if math.isnan(request.params[2]) else request.get_int(3)
+    vehicle.pilot.inject_failure(unit, kind, instance)
+    return ()
+
+
+def _calibrate(
+    vehicle: MavlinkVehicle, streams: TelemetryRates, request: CommandRequest
+) -> Sequence[OutgoingMessage]:
+    """Report a finished calibration, with PX4's texts: simulated sensors have no offsets."""
+    names = [name for (k, value), name in CALIBRATIONS.items() if request.params[k - 1] == value]
+    if len(names) != 1:
+        reason = "calibrate one of gyro, mag, accel or level"
+        raise RefusedError(reason, CommandResult.UNSUPPORTED)
+    (name,) = names
+    if vehicle.pilot.is_armed:
+        raise RefusedError("calibration: disarm first", CommandResult.TEMPORARILY_REJECTED)
+    steps = (f"calibration started: 2 {name}", "progress <100>", f"calibration done: {name}")
+    return [text(f"[cal] {step}", INFO) for step in steps]
 
 
 def _change_speed(
@@ -221,14 +285,17 @@ COMMANDS: Mapping[int, CommandHandler] = {
     Command.RETURN: _make_mode_handler(Mode.RETURN),
     Command.LAND: _make_mode_handler(Mode.LAND),
     Command.TAKEOFF: _take_off,
+    Command.ORBIT: _orbit,
     Command.SET_MODE: _do_set_mode,
     Command.CHANGE_SPEED: _change_speed,
     Command.TERMINATE: _terminate,
     Command.REPOSITION: _reposition,
     Command.PAUSE: _pause,
     Command.SET_MISSION_CURRENT: _set_current,
+    Command.CALIBRATE: _calibrate,
     Command.MISSION_START: _mission_start,
     Command.ARM: _arm,
+    Command.INJECT_FAILURE: _inject_failure,
     Command.GET_HOME: _make_message_handler(HOME_POSITION),
     Command.GET_INTERVAL: _get_interval,
     Command.SET_INTERVAL: _set_interval,

@@ -51,7 +51,7 @@ class FenceArea(NamedTuple):
         """Return True if a point is inside the area."""
         if len(self.points) == 1:
             (center,) = self.points
-            return math.dist(center, (x, y)) <= self.radius
+            return math.dist(center, (x, y)) < self.radius
         inside = False
         # Ray casting: a ray from an inside point crosses the edges an odd number of times
         for (ax, ay), (bx, by) in zip(self.points, self.points[1:] + self.points[:1], strict=True):
@@ -94,13 +94,17 @@ class Geofence:
         if not items or len({(item.command, item.params[0]) for item in items}) > 1:
             raise RefusedError("fence: need 3 or more vertices with equal counts")
         first = items[0]
-        positions = [self._site.from_global(item.frame, item.x, item.y, 0.0) for item in items]
+        is_circle = first.command in (CIRCLE_INCLUSION, CIRCLE_EXCLUSION)
         is_inclusion = first.command in (POLYGON_INCLUSION, CIRCLE_INCLUSION)
+        if is_circle and not first.params[0] >= 0:
+            raise RefusedError("fence: a circle needs a radius of 0 or more")
+        # As in PX4, a circle of radius 0 contains nothing, wherever it is
+        if is_circle and first.params[0] == 0:
+            return FenceArea(is_inclusion, ((0.0, 0.0),))
+        positions = [self._site.from_global(item.frame, item.x, item.y, 0.0) for item in items]
         points = tuple((x, y) for x, y, _ in positions)
         if len(points) > 1:
             return FenceArea(is_inclusion, points)
-        if not first.params[0] > 0:
-            raise RefusedError("fence: a circle needs a radius above 0")
         return FenceArea(is_inclusion, points, first.params[0])
 
     def find_breach(self, position: Sequence[float]) -> str | None:

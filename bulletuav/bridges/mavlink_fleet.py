@@ -78,12 +78,17 @@ class MavlinkFleet:
         self.services = [
             Services(
                 MavlinkVehicle(
-                    k + 1, frame, Site.from_start(self.origin, place), partial(self._locate, k)
+                    k + 1,
+                    frame,
+                    Site.from_start(self.origin, place),
+                    partial(self._locate, k),
+                    partial(self._set_rotors, k),
                 )
             )
             for k, place in enumerate(places)
         ]
         self.tick, self._starts = 0, places
+        self._velocity = self.airspace.swarm.velocity.copy()
         self._update_vehicles()
 
     def __len__(self) -> int:
@@ -125,10 +130,17 @@ class MavlinkFleet:
     def _update_vehicles(self) -> None:
         """Pass the state of each body to its vehicle."""
         swarm, contacts = self.airspace.swarm, self.airspace.contacts
+        change = ((swarm.velocity - self._velocity) / self.airspace.period).tolist()
+        self._velocity = swarm.velocity.copy()
         touching = set(contacts.drone[contacts.normal[:, 2] > MIN_SUPPORT_NORMAL].tolist())
         self._geodetic_poses: list[list[float]] | None = None
         for i, (service, state) in enumerate(zip(self.services, get_states(swarm), strict=True)):
+            service.vehicle.acceleration = change[i]
             service.vehicle.pilot.update_state(state, self.time, i in touching or self.tick == 0)
+
+    def _set_rotors(self, i: int, effectiveness: Sequence[float]) -> None:
+        """Set the effectiveness of the rotors of a vehicle, see `Airspace.set_condition`."""
+        self.airspace.set_condition(i, rotor_effectiveness=effectiveness)
 
     def _locate(self, i: int) -> list[float]:
         """Return the geodetic pose of a vehicle, see `MavlinkVehicle.locate`.

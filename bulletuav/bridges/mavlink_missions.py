@@ -1,4 +1,4 @@
-"""MAVLink mission protocol: upload, download and clearing of missions and geofences.
+"""MAVLink mission protocol: upload, download and clearing of missions, fences and rally points.
 
 Source: https://mavlink.io/en/services/mission.html.
 """
@@ -12,8 +12,10 @@ from bulletuav.bridges.mavlink_fence import FENCE_COMMANDS, Geofence, MissionIte
 from bulletuav.bridges.mavlink_items import DENIED, UNSUPPORTED, MissionError
 from bulletuav.bridges.mavlink_protocol import Message, OutgoingMessage, RefusedError, Sender, text
 
-MISSION, FENCE, ALL = 0, 1, 255
+MISSION, FENCE, RALLY, ALL = 0, 1, 2, 255
 """Mission types (MAV_MISSION_TYPE)"""
+RALLY_POINT = 5100
+"""Command of the items of rally points (MAV_CMD_NAV_RALLY_POINT)"""
 ACCEPTED, ERROR, NO_SPACE, BAD_SEQUENCE, CANCELLED = 0, 1, 4, 13, 15
 """Result codes of a MISSION_ACK, besides those of `mavlink_items`"""
 MAX_MISSION_ITEMS = 500
@@ -53,16 +55,24 @@ class MissionService:
         lists: Items by mission type.
     """
 
-    def __init__(self, check: MissionCheck, fence: Geofence, on_change: Callable[[], None]) -> None:
+    def __init__(
+        self,
+        check: MissionCheck,
+        fence: Geofence,
+        set_rally_points: MissionCheck,
+        on_change: Callable[[], None],
+    ) -> None:
         """Initialise with empty lists.
 
         Args:
             check: Function that raises RefusedError if a mission is invalid.
             fence: Geofence, which uploaded fence items replace.
+            set_rally_points: Function that takes the rally points, or raises RefusedError.
             on_change: Function that is called after the mission has changed.
         """
         self._check, self._fence, self._on_change = check, fence, on_change
-        self.lists: dict[int, tuple[MissionItem, ...]] = {MISSION: (), FENCE: ()}
+        self._set_rally_points = set_rally_points
+        self.lists: dict[int, tuple[MissionItem, ...]] = {MISSION: (), FENCE: (), RALLY: ()}
         self._upload: MissionUpload | None = None
 
     def answer(self, message: Message, sender: Sender, now: float) -> list[OutgoingMessage]:
@@ -88,10 +98,7 @@ class MissionService:
         mission_type = message.mission_type
         if message_type == "MISSION_CLEAR_ALL":
             return self._clear(mission_type, sender)
-        # Unsupported lists (rally points) are reported as empty, and cannot be uploaded
         if mission_type not in self.lists:
-            if message_type == "MISSION_REQUEST_LIST":
-                return [OutgoingMessage("mission_count", (*sender[:2], 0, mission_type))]
             return [_ack(sender, UNSUPPORTED, mission_type)]
         if message_type == "MISSION_REQUEST_LIST":
             return [
@@ -144,7 +151,7 @@ class MissionService:
         """Validate a list, and replace the previous list of its type.
 
         Args:
-            mission_type: `MISSION` or `FENCE`.
+            mission_type: `MISSION`, `FENCE` or `RALLY`.
             items: Items of the list.
 
         Raises:
@@ -154,6 +161,10 @@ class MissionService:
             if any(item.command not in FENCE_COMMANDS for item in items):
                 raise MissionError("fence items must be polygons or circles", UNSUPPORTED)
             self._fence.set_items(items)
+        elif mission_type == RALLY:
+            if any(item.command != RALLY_POINT for item in items):
+                raise MissionError("rally items must be rally points", UNSUPPORTED)
+            self._set_rally_points(items)
         else:
             self._check(items)
         self.lists[mission_type] = items

@@ -4,8 +4,18 @@ import math
 from collections.abc import Callable
 
 from bulletuav.bridges.mavlink_coordinates import Site
+from bulletuav.bridges.mavlink_failures import Failures
 from bulletuav.bridges.mavlink_fence import Geofence, MissionItem
 from bulletuav.bridges.mavlink_items import check_mission
+from bulletuav.bridges.mavlink_motions import (
+    Descend,
+    FollowMovingTarget,
+    ManualFlight,
+    Orbit,
+    OrbitPlan,
+    Sticks,
+    Target,
+)
 from bulletuav.bridges.mavlink_parameters import MavlinkParameterService
 from bulletuav.bridges.mavlink_protocol import CommandResult, Mode, RefusedError
 from bulletuav.bridges.mavlink_route import Route
@@ -26,6 +36,11 @@ TUMBLE_TIMEOUT = 1.0
 """Time upside down after which the vehicle is disarmed, s"""
 WARN, HOLD, RETURN, LAND = 1, 2, 3, 5
 """Values of GF_ACTION, the reaction to a breach of the geofence"""
+BATTERY_LAND, BATTERY_RETURN = 2, 3
+"""Values of COM_LOW_BAT_ACT, the reaction to an empty battery; 0 warns"""
+MANUAL_MODES = (Mode.ALTITUDE, Mode.POSITION)
+NO_POSITION_MODES = (Mode.ALTITUDE, Mode.LAND)
+"""Modes that do not need a position"""
 
 
 class Pilot:
@@ -38,11 +53,20 @@ class Pilot:
         state: State of the body.
         now: Time, s.
         route: Progress of the mission.
+        rally_points: (3,) positions at which a return may end besides home, m.
+        failures: Injected failures.
+        target: Last position of the target of mode FOLLOW.
+        sticks: Last input of the manual modes.
         status_texts: Texts to send to all clients.
     """
 
     def __init__(
-        self, airframe: Airframe, site: Site, parameters: MavlinkParameterService, fence: Geofence
+        self,
+        airframe: Airframe,
+        site: Site,
+        parameters: MavlinkParameterService,
+        fence: Geofence,
+        failures: Failures,
     ) -> None:
         """Initialise on the ground, disarmed."""
         self._airframe, self._site, self._fence = airframe, site, fence
@@ -52,6 +76,10 @@ class Pilot:
         self.state: State = (list(site.start), [0.0, 0.0, 0.0, 1.0], [0.0] * 3, [0.0] * 3)
         self.now = 0.0
         self.route = Route(site, self._values)
+        self.rally_points: list[tuple[float, float, float]] = []
+        self.failures = failures
+        self.target: Target | None = None
+        self.sticks = Sticks()
         self.status_texts: list[str] = []
         self._motion: MotionPrimitive = MotorsOff()
         self._next_motion: Callable[[], MotionPrimitive | None] = lambda: None
@@ -99,6 +127,8 @@ class Pilot:
 
     def _check_fence(self) -> None:
         """React to a breach of the geofence as GF_ACTION requires, once per breach."""
+        if not self.failures.has_gps:
+            return
         reason = self._fence.find_breach(self.state[0])
         was_inside, self._is_inside = self._is_inside, reason is None
         action = self._values["GF_ACTION"]
@@ -113,17 +143,48 @@ class Pilot:
         """Start the next motion if the present one has ended; hold if setpoints are lost."""
         if self.mode == Mode.OFFBOARD:
             if not self.has_recent_setpoint:
-                self.status_texts.append("no offboard setpoints: hold")
-                self.enter_mode(Mode.HOLD)
+                self._hold_or_land("no offboard setpoints")
             return
         if isinstance(self._motion, MotorsOff | HoldPosition):
             return
         if self._motion.check_outcome(self.state, self.now, self._is_touching) is None:
             return
+        if self.mode in MANUAL_MODES:
+            self._hold_or_land("no manual control")
+            return
         previous = self._motion
         self._motion = self._next_motion() or previous.get_next_motion(self.state)
         if self.mode in (Mode.TAKEOFF, Mode.MISSION) and isinstance(self._motion, HoldPosition):
             self.mode = Mode.HOLD
+
+    def _hold_or_land(self, reason: str) -> None:
+        """Hold, or land without a position, and send the reason to the clients."""
+        mode = Mode.HOLD if self.failures.has_gps else Mode.LAND
+        self.status_texts.append(f"{reason}: {mode.name.lower()}")
+        self.enter_mode(mode)
+
+    def inject_failure(self, unit: int, kind: int, instance: int) -> None:
+        """Let a unit fail, or repair it, and react to the failure; see `Failures.inject`.
+
+        Without a position the vehicle lands; with an empty battery it does what COM_LOW_BAT_ACT
+        requires.
+
+        Raises:
+            RefusedError: If the failure is not supported.
+        """
+        before = (self.failures.has_gps, self.failures.is_battery_empty)
+        self.failures.inject(unit, kind, instance)
+        has_gps, is_empty = self.failures.has_gps, self.failures.is_battery_empty
+        if (has_gps, is_empty) == before or not self.is_armed:
+            return
+        if not has_gps and self.mode not in NO_POSITION_MODES:
+            self._hold_or_land("GPS failed")
+        elif is_empty:
+            self.status_texts.append("battery is empty")
+            actions = {BATTERY_LAND: Mode.LAND, BATTERY_RETURN: Mode.RETURN}
+            mode = actions.get(int(self._values["COM_LOW_BAT_ACT"]))
+            if mode is not None and has_gps and self.mode != Mode.LAND:
+                self.enter_mode(mode)
 
     def _check_auto_disarm(self) -> None:
         """Disarm after a landing, or without a take-off, after the time that parameters set."""
@@ -241,9 +302,22 @@ class Pilot:
             raise RefusedError(
                 "not flying: arm and take off first", CommandResult.TEMPORARILY_REJECTED
             )
+        self._require_position(Mode.HOLD)
         heading = Heading(forward=True) if yaw is None else Heading("angle", yaw)
         self.mode, self._next_motion = Mode.HOLD, lambda: None
         self._motion = self._leg(position, self.route.speed, heading)
+
+    def orbit(self, plan: OrbitPlan) -> None:
+        """Fly to the nearest point of a circle, and along the circle until the mode changes.
+
+        Raises:
+            RefusedError: If the circle breaches the geofence, or the vehicle does not fly.
+        """
+        entry = plan.entry(self.state[0])
+        self._fence.require_inside("circle is", entry)
+        self.go_to(entry, None)
+        self.mode = Mode.ORBIT
+        self._next_motion = lambda: Orbit(plan, self.state, self.now)
 
     def set_mission(self, items: tuple[MissionItem, ...]) -> None:
         """Replace the mission; a vehicle in mode MISSION holds."""
@@ -272,6 +346,12 @@ class Pilot:
         if mode == Mode.OFFBOARD and not self.has_recent_setpoint:
             reason = "offboard denied: send setpoints first"
             raise RefusedError(reason, CommandResult.TEMPORARILY_REJECTED)
+        if mode in MANUAL_MODES and self._has_lost_sticks:
+            reason = "manual control denied: send sticks first"
+            raise RefusedError(reason, CommandResult.TEMPORARILY_REJECTED)
+        if mode == Mode.ORBIT and not isinstance(self._motion, Orbit):
+            raise RefusedError("orbit denied: use the command 34")
+        self._require_position(mode)
         if mode == Mode.MISSION:
             self._check_mission()
         if mode == Mode.TAKEOFF and self._takeoff_goal is None:
@@ -281,6 +361,18 @@ class Pilot:
         if self.is_armed:
             self._next_motion = lambda: None
             self._motion = self._start_motion(mode)
+
+    @property
+    def _has_lost_sticks(self) -> bool:
+        """True if no sticks have arrived within COM_RC_LOSS_T."""
+        return self.now - self.sticks.time > self._values["COM_RC_LOSS_T"]
+
+    def _require_position(self, mode: Mode) -> None:
+        """Raise RefusedError if a mode needs a position, and the GPS receiver has failed."""
+        if not self.failures.has_gps and mode not in NO_POSITION_MODES:
+            raise RefusedError(
+                f"{mode.name.lower()} denied: GPS failed", CommandResult.TEMPORARILY_REJECTED
+            )
 
     def _check_mission(self) -> None:
         """Validate the mission again before its start, as the geofence may have changed."""
@@ -300,6 +392,13 @@ class Pilot:
             self.route.set_current_item(0 if self.route.is_over else self.route.current)
             self._next_motion = self._next_mission_motion
             return self._next_mission_motion() or HoldPosition(self.state)
+        if mode in MANUAL_MODES:
+            return ManualFlight(
+                lambda: self.sticks,
+                lambda: self.has_landed,
+                self._values,
+                mode == Mode.POSITION,
+            )
         # On the ground all other modes keep the motors off
         if self.has_landed:
             return MotorsOff()
@@ -307,6 +406,12 @@ class Pilot:
             return self._land()
         if mode == Mode.RETURN:
             return self._return()
+        if mode == Mode.ORBIT:
+            return self._motion
+        if mode == Mode.FOLLOW:
+            hold = HoldPosition(self.state, self.now).get_setpoint(self.state, self.now)
+            ground = self._site.start[2]
+            return FollowMovingTarget(lambda: self.target, ground, self._values, hold)
         return HoldPosition(self.state, self.now)
 
     def _next_mission_motion(self) -> MotionPrimitive | None:
@@ -322,16 +427,23 @@ class Pilot:
 
     def _land(self) -> MotionPrimitive:
         """Return the motion that descends until ground contact."""
+        if not self.failures.has_gps:
+            return Descend(self.state, self.now, math.inf, self._values["MPC_LAND_SPEED"])
         return Land(self.state, self.now, math.inf, self._values["MPC_LAND_SPEED"])
 
     def _return(self) -> MotionPrimitive:
-        """Return the first leg of a return: climb, fly above home, descend, and land."""
+        """Return the first leg of a return: climb, fly above the goal, descend, and land.
+
+        The goal is the nearest of home and the rally points.
+        """
         x, y, z = self.state[0]
         home, values = self._site.start, self._values
-        # PX4's heights are above home; the vehicle never descends before it is above home
+        goals = [(home[0], home[1]), *((px, py) for px, py, _ in self.rally_points)]
+        goal_x, goal_y = min(goals, key=lambda goal: math.dist(goal, (x, y)))
+        # PX4's heights are above home; the vehicle never descends before it is above its goal
         return_height = max(z, home[2] + values["RTL_RETURN_ALT"])
         descent_height = min(return_height, home[2] + values["RTL_DESCEND_ALT"])
-        waypoints = iter([(home[0], home[1], return_height), (home[0], home[1], descent_height)])
+        waypoints = iter([(goal_x, goal_y, return_height), (goal_x, goal_y, descent_height)])
 
         def next_leg() -> MotionPrimitive | None:
             goal = next(waypoints, None)

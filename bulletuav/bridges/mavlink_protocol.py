@@ -29,15 +29,18 @@ class Command(IntEnum):
     RETURN = 20
     LAND = 21
     TAKEOFF = 22
+    ORBIT = 34
     SET_MODE = 176
     CHANGE_SPEED = 178
     TERMINATE = 185
     REPOSITION = 192
     PAUSE = 193
     SET_MISSION_CURRENT = 224
+    CALIBRATE = 241
     MISSION_START = 300
     ARM = 400
     GET_HOME = 410
+    INJECT_FAILURE = 420
     GET_INTERVAL = 510
     SET_INTERVAL = 511
     REQUEST_MESSAGE = 512
@@ -56,11 +59,15 @@ class CommandResult(IntEnum):
 class Mode(IntEnum):
     """PX4's flight modes as in HEARTBEAT.custom_mode: main mode << 16 | sub-mode << 24."""
 
+    ALTITUDE = 2 << 16
+    POSITION = 3 << 16
+    ORBIT = 3 << 16 | 1 << 24
     TAKEOFF = 4 << 16 | 2 << 24
     HOLD = 4 << 16 | 3 << 24
     MISSION = 4 << 16 | 4 << 24
     RETURN = 4 << 16 | 5 << 24
     LAND = 4 << 16 | 6 << 24
+    FOLLOW = 4 << 16 | 8 << 24
     OFFBOARD = 6 << 16
 
 

@@ -1,11 +1,13 @@
 """Message handling of one MAVLink vehicle, without sockets."""
 
+import logging
 import math
 from collections.abc import Sequence
 
 from bulletuav.bridges import mavlink_setpoints
 from bulletuav.bridges.mavlink_commands import COMMANDS, CommandRequest, set_mode
 from bulletuav.bridges.mavlink_missions import ACCEPTED
+from bulletuav.bridges.mavlink_motions import Sticks, Target
 from bulletuav.bridges.mavlink_protocol import (
     COMPONENT,
     Command,
@@ -19,6 +21,7 @@ from bulletuav.bridges.mavlink_protocol import (
 from bulletuav.bridges.mavlink_telemetry import TelemetryRates, make_message
 from bulletuav.bridges.mavlink_vehicle import MavlinkVehicle
 from bulletuav.bridges.setpoints import AirspaceCommand, Setpoint
+from bulletuav.bridges.sockets import LOG_NAME
 
 SETPOINTS = (
     "SET_POSITION_TARGET_LOCAL_NED",
@@ -37,9 +40,12 @@ MISSIONS = (
 )
 PARAMETERS = ("PARAM_REQUEST_READ", "PARAM_REQUEST_LIST", "PARAM_SET")
 COMMAND_MESSAGES = ("COMMAND_LONG", "COMMAND_INT")
+LOG = logging.getLogger(LOG_NAME)
 COMPLAINT_INTERVAL = 1.0
 """Minimum time between texts about denied setpoints, s"""
 MISSION_CURRENT = 42
+MAX_TARGET_SPEED = 100.0
+"""Limit of the velocity of a target, m/s"""
 
 
 class Services:
@@ -54,6 +60,7 @@ class Services:
         """Initialise the handler of a vehicle."""
         self.vehicle, self.streams = vehicle, TelemetryRates(vehicle.system_id)
         self._setpoint_sender: Sender | None = None
+        self._warned: Sender | None = None
         self._last_complaint_time = -math.inf
 
     def answer(self, message: Message, sender: Sender) -> list[OutgoingMessage]:
@@ -68,7 +75,8 @@ class Services:
             system or is not supported.
         """
         # ID 0 is broadcast; messages to other systems and components are ignored
-        if getattr(message, "target_system", 0) not in (0, self.vehicle.system_id):
+        system_id = getattr(message, "target_system", getattr(message, "target", 0))
+        if system_id not in (0, self.vehicle.system_id):
             return []
         if getattr(message, "target_component", 0) not in (0, COMPONENT):
             return []
@@ -76,7 +84,7 @@ class Services:
         message_type = message.get_type()
         if message_type in COMMAND_MESSAGES:
             return self._handle_command(message, sender)
-        if message_type in SETPOINTS:
+        if message_type in SETPOINTS or message_type == "MANUAL_CONTROL":
             return self._handle_setpoint(message, sender)
         if message_type in MISSIONS:
             return self.vehicle.missions.answer(message, sender, self.vehicle.pilot.now)
@@ -86,7 +94,7 @@ class Services:
             return [text(str(error))]
 
     def _handle_other(self, message: Message, sender: Sender) -> list[OutgoingMessage]:
-        """Handle parameters, modes, the current item, time synchronisation and pings."""
+        """Handle parameters, modes, the current item, the target, the shell, time and pings."""
         message_type = message.get_type()
         if message_type in PARAMETERS:
             return self.vehicle.parameters.answer(message)
@@ -95,6 +103,10 @@ class Services:
         elif message_type == "MISSION_SET_CURRENT":
             self.vehicle.pilot.set_current_item(message.seq)
             return [make_message(self.vehicle, MISSION_CURRENT)]
+        elif message_type == "FOLLOW_TARGET":
+            self._set_target(message)
+        elif message_type == "SERIAL_CONTROL":
+            return self.vehicle.shell.answer(message)
         elif message_type == "TIMESYNC" and message.tc1 == 0:
             return [OutgoingMessage("timesync", (self.vehicle.time_boot_ms * 10**6, message.ts1))]
         elif message_type == "PING" and message.target_system == 0:
@@ -117,18 +129,23 @@ class Services:
         ]
 
     def _handle_setpoint(self, message: Message, sender: Sender) -> list[OutgoingMessage]:
-        """Handle a setpoint; a second client's are denied while the first one sends setpoints."""
+        """Handle a setpoint or sticks; a second client's are denied while the first one sends."""
         pilot, vehicle, message_type = self.vehicle.pilot, self.vehicle, message.get_type()
         try:
             # Setpoints of two clients would make the vehicle jump back and forth
             if self._setpoint_sender not in (None, sender) and pilot.has_recent_setpoint:
                 raise RefusedError("setpoints denied: another client sends setpoints")
+            if message_type == "MANUAL_CONTROL":
+                pilot.sticks = _read_sticks(message, pilot.now)
+                self._setpoint_sender = sender
+                return []
             # Frames and type masks differ between the messages
             setpoint: Setpoint | AirspaceCommand
             if message_type == "SET_ATTITUDE_TARGET":
                 setpoint = mavlink_setpoints.parse_attitude_target(message, vehicle.airframe)
             elif message_type == "SET_POSITION_TARGET_LOCAL_NED":
                 setpoint = mavlink_setpoints.parse_local_target(message, vehicle.site, pilot.state)
+                self._warn_of_position(message, setpoint, sender)
             else:
                 setpoint = mavlink_setpoints.parse_global_target(message, vehicle.site, pilot.state)
             pilot.set_offboard_setpoint(setpoint)
@@ -140,6 +157,32 @@ class Services:
             self._last_complaint_time = pilot.now
             return [text(str(error))]
         return []
+
+    def _warn_of_position(
+        self, message: Message, setpoint: Setpoint | AirspaceCommand, sender: Sender
+    ) -> None:
+        """Log once for each client that a velocity setpoint has a position, too."""
+        has_both = isinstance(setpoint, Setpoint) and any(setpoint.feedforward[:3])
+        if has_both and message.x == message.y == message.z == 0 and self._warned != sender:
+            self._warned = sender
+            LOG.warning(
+                "vehicle %d: setpoints with mask 0x%04X have position (0, 0, 0) besides their "
+                "velocity, and the position counts: set bits 0 to 2 (mask 0x%04X) for the velocity "
+                "alone",
+                self.vehicle.system_id,
+                message.type_mask,
+                message.type_mask | 0b111,
+            )
+
+    def _set_target(self, message: Message) -> None:
+        """Set the target of mode FOLLOW."""
+        geodetic = (message.lat / 1e7, message.lon / 1e7, message.alt)
+        position = self.vehicle.site.from_global(0, *geodetic)
+        north, east, down = (
+            min(max(value, -MAX_TARGET_SPEED), MAX_TARGET_SPEED) if math.isfinite(value) else 0.0
+            for value in message.vel
+        )
+        self.vehicle.pilot.target = Target(position, (east, north, -down), self.vehicle.pilot.now)
 
     def due(self, tick: int) -> list[OutgoingMessage]:
         """Return the messages to send to all clients at a step."""
@@ -155,6 +198,18 @@ class Services:
         pilot.route.reached.clear()
         pilot.status_texts.clear()
         return messages
+
+
+def _read_sticks(message: Message, now: float) -> Sticks:
+    """Convert a MANUAL_CONTROL: axes from -1000 to 1000, the throttle from 0 to 1000.
+
+    Invalid axes (outside of -1000 to 1000) count as centred.
+    """
+    pitch, roll, throttle, yaw = (
+        value / 1000 if abs(value) <= 1000 else 0.0
+        for value in (message.x, message.y, 2 * message.z - 1000, message.r)
+    )
+    return Sticks(pitch, roll, throttle, yaw, now)
 
 
 def find_refusal_reason(answers: Sequence[OutgoingMessage]) -> str:

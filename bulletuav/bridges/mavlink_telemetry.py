@@ -4,7 +4,10 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from bulletuav.bridges.mavlink_protocol import CommandResult, Mode, OutgoingMessage, RefusedError
+from bulletuav.bridges.mavlink_sensors import compute_field, measure
 from bulletuav.bridges.mavlink_vehicle import MavlinkVehicle
 from bulletuav.bridges.setpoints import euler
 
@@ -16,13 +19,22 @@ STANDBY, ACTIVE = 3, 4
 HEALTH = 0b1 | 0b10 | 0b100 | 0b1000 | 0b100000 | 1 << 21 | 1 << 25 | 1 << 28
 """Bits of SYS_STATUS: gyroscope, accelerometer, magnetometer, barometer, GPS, attitude, battery and
 pre-arm check are present, enabled and healthy"""
+GPS_HEALTH, BATTERY_HEALTH, PRE_ARM_HEALTH = 0b100000, 1 << 25, 1 << 28
+NO_FIX, FIX_3D = 0, 3
+"""Fix types of a GPS receiver (GPS_FIX_TYPE)"""
+CHARGE_OK, CHARGE_FAILED = 1, 5
+"""Charge states of a battery (MAV_BATTERY_CHARGE_STATE)"""
+EMPTY_VOLTAGE = 12.0
+"""Voltage of an empty battery, V"""
+ALL_FIELDS = 0b1111111111111
+"""Bits of HIGHRES_IMU: all values are new"""
 ON_GROUND, IN_AIR, TAKING_OFF, LANDING = 1, 2, 3, 4
 """Landed states (MAV_LANDED_STATE)"""
 NO_MISSION, NOT_STARTED, RUNNING, PAUSED, COMPLETE = 1, 2, 3, 4, 5
 """Mission states (MISSION_STATE)"""
-CAPABILITIES = sum(1 << bit for bit in (2, 3, 4, 6, 7, 8, 11, 13, 14))
+CAPABILITIES = sum(1 << bit for bit in (2, 3, 4, 6, 7, 8, 11, 13, 14, 15))
 """Capabilities (MAV_PROTOCOL_CAPABILITY): MISSION_INT, COMMAND_INT, bytewise parameters, targets of
-attitude and of local and global positions, termination, MAVLink 2, geofence"""
+attitude and of local and global positions, termination, MAVLink 2, geofence, rally points"""
 VERSION = 1 << 24 | 14 << 16 | 3 << 8 | 255
 """Firmware version PX4 1.14.3, as clients require a minimum version"""
 UINT16_UNKNOWN = 2**16 - 1
@@ -38,7 +50,18 @@ def _heartbeat(vehicle: MavlinkVehicle) -> tuple[Any, ...]:
 
 
 def _sys_status(vehicle: MavlinkVehicle) -> tuple[Any, ...]:
-    return (HEALTH, HEALTH, HEALTH, 100, round(FULL_VOLTAGE * 1000), -1, 100, *[0] * 6)
+    failures, health = vehicle.pilot.failures, HEALTH
+    if not failures.has_gps:
+        health &= ~(GPS_HEALTH | PRE_ARM_HEALTH)
+    if failures.is_battery_empty:
+        health &= ~BATTERY_HEALTH
+    voltage, percent = _battery_level(vehicle)
+    return (HEALTH, HEALTH, health, 100, round(voltage * 1000), -1, percent, *[0] * 6)
+
+
+def _battery_level(vehicle: MavlinkVehicle) -> tuple[float, int]:
+    """Return voltage, V, and charge, percent."""
+    return (EMPTY_VOLTAGE, 0) if vehicle.pilot.failures.is_battery_empty else (FULL_VOLTAGE, 100)
 
 
 def _system_time(vehicle: MavlinkVehicle) -> tuple[Any, ...]:
@@ -47,14 +70,17 @@ def _system_time(vehicle: MavlinkVehicle) -> tuple[Any, ...]:
 
 
 def _gps(vehicle: MavlinkVehicle) -> tuple[Any, ...]:
-    """Return GPS_RAW_INT, with exact values."""
+    """Return GPS_RAW_INT, with exact values; without a position if the receiver has failed."""
+    if not vehicle.pilot.failures.has_gps:
+        unknown = [UINT16_UNKNOWN] * 4
+        return (vehicle.time_boot_ms * 1000, NO_FIX, 0, 0, 0, *unknown, 0, 0, 0, 0, 0, 0)
     latitude, longitude, altitude = _scaled_position(vehicle)
     north, east, _ = _velocity(vehicle)
     speed = math.hypot(north, east)
     course = round(math.degrees(math.atan2(east, north)) * 100) % 36000
     flat = (30, 50, min(round(speed * 100), UINT16_UNKNOWN - 1), course, 16)
     exact = (altitude, 100, 100, 10, 0, 0)
-    return (vehicle.time_boot_ms * 1000, 3, latitude, longitude, altitude, *flat, *exact)
+    return (vehicle.time_boot_ms * 1000, FIX_3D, latitude, longitude, altitude, *flat, *exact)
 
 
 def _attitude(vehicle: MavlinkVehicle) -> tuple[Any, ...]:
@@ -116,9 +142,19 @@ def _altitude(vehicle: MavlinkVehicle) -> tuple[Any, ...]:
 
 
 def _battery(vehicle: MavlinkVehicle) -> tuple[Any, ...]:
-    """Return BATTERY_STATUS of a full battery."""
-    cells = [round(FULL_VOLTAGE * 1000 / 4)] * 4 + [UINT16_UNKNOWN] * 6
-    return 0, 1, 1, 2**15 - 1, cells, -1, -1, -1, 100
+    """Return BATTERY_STATUS of a full or an empty battery."""
+    voltage, percent = _battery_level(vehicle)
+    cells = [round(voltage * 1000 / 4)] * 4 + [UINT16_UNKNOWN] * 6
+    state = CHARGE_OK if percent else CHARGE_FAILED
+    return 0, 1, 1, 2**15 - 1, cells, -1, -1, -1, percent, 0, state
+
+
+def _highres_imu(vehicle: MavlinkVehicle) -> tuple[Any, ...]:
+    """Return HIGHRES_IMU, without noise."""
+    _, quaternion, _, rates = vehicle.pilot.state
+    field, altitude = compute_field(vehicle.site.home), vehicle.locate()[2]
+    values = measure(np.array(quaternion), np.array(rates), vehicle.acceleration, field, altitude)
+    return (vehicle.time_boot_ms * 1000, *values.tolist(), ALL_FIELDS)
 
 
 def _mission(vehicle: MavlinkVehicle) -> tuple[Any, ...]:
@@ -181,6 +217,7 @@ STREAMS: Mapping[int, TelemetryStream] = {
     42: TelemetryStream("mission_current", 1, _mission),
     49: TelemetryStream("gps_global_origin", 0, _origin),
     74: TelemetryStream("vfr_hud", 2, _hud),
+    105: TelemetryStream("highres_imu", 0, _highres_imu),
     141: TelemetryStream("altitude", 1, _altitude),
     147: TelemetryStream("battery_status", 0.5, _battery),
     148: TelemetryStream("autopilot_version", 0, _autopilot_version),

@@ -1,13 +1,15 @@
 """One MAVLink vehicle: pilot, parameters, missions and geofence."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from bulletuav.bridges.mavlink_coordinates import Site
+from bulletuav.bridges.mavlink_failures import Failures
 from bulletuav.bridges.mavlink_fence import Geofence, MissionItem
 from bulletuav.bridges.mavlink_items import check_mission
 from bulletuav.bridges.mavlink_missions import MISSION, MissionService
 from bulletuav.bridges.mavlink_parameters import MavlinkParameterService
 from bulletuav.bridges.mavlink_pilot import Pilot
+from bulletuav.bridges.mavlink_shell import Shell
 from bulletuav.vehicle.airframe import STANDARD_GRAVITY, Airframe
 
 
@@ -20,13 +22,20 @@ class MavlinkVehicle:
         site: Start position, which is home.
         parameters: Parameters.
         pilot: Arming, flight modes and motions.
-        missions: Mission and geofence lists.
+        shell: Shell.
+        acceleration: (3,) mean acceleration over the last step, m/s^2.
+        missions: Mission, geofence and rally points.
         locate: Function that returns latitude and longitude (deg), altitude (m), and the attitude
             w, x, y, z from FRD body axes to NED.
     """
 
     def __init__(
-        self, system_id: int, airframe: Airframe, site: Site, locate: Callable[[], list[float]]
+        self,
+        system_id: int,
+        airframe: Airframe,
+        site: Site,
+        locate: Callable[[], list[float]],
+        set_rotors: Callable[[Sequence[float]], None],
     ) -> None:
         """Initialise on the ground, disarmed.
 
@@ -35,17 +44,30 @@ class MavlinkVehicle:
             airframe: Airframe of the body.
             site: Start position.
             locate: Function that returns the geodetic pose, see the attribute `locate`.
+            set_rotors: Function that sets the effectiveness (R,) of the rotors, from 0 to 1.
         """
         self.system_id, self.airframe, self.site, self.locate = system_id, airframe, site, locate
         hover = airframe.mass * STANDARD_GRAVITY / airframe.max_thrust
         self.parameters = MavlinkParameterService(MAV_SYS_ID=system_id, MPC_THR_HOVER=hover)
         self._fence = Geofence(site, self.parameters.values)
-        self.pilot = Pilot(airframe, site, self.parameters, self._fence)
-        self.missions = MissionService(self._check_mission, self._fence, self._update_mission)
+        failures = Failures(airframe, self.parameters.values, set_rotors)
+        self.pilot = Pilot(airframe, site, self.parameters, self._fence, failures)
+        self.shell = Shell(self.parameters.values)
+        self.acceleration = [0.0] * 3
+        self.missions = MissionService(
+            self._check_mission, self._fence, self._set_rally_points, self._update_mission
+        )
 
     def _check_mission(self, items: tuple[MissionItem, ...]) -> None:
         """Validate an uploaded mission."""
         check_mission(items, self.site, self._fence, self.parameters.values["MIS_DIST_1WP"])
+
+    def _set_rally_points(self, items: tuple[MissionItem, ...]) -> None:
+        """Pass uploaded rally points to the pilot."""
+        points = [self.site.from_global(item.frame, item.x, item.y, item.z) for item in items]
+        for point in points:
+            self._fence.require_inside("rally point is", point)
+        self.pilot.rally_points = points
 
     def _update_mission(self) -> None:
         """Pass the changed mission to the pilot."""

@@ -18,6 +18,9 @@ from bulletuav.vehicle.swarm import Swarm
 
 NORTH = (0.0, 0.0, math.sqrt(0.5), math.sqrt(0.5))
 """Attitude of a drone that faces north: quaternion x, y, z, w"""
+PX4_CORNERS = ((1, -1), (-1, 1), (1, 1), (-1, -1))
+"""Corners of a quadrotor in PX4's motor order: front right, rear left, front left, rear right. Each
+is the signs of the rotor's x (forward) and y (left) coordinate."""
 MAX_YAW_LEAD = 1.0
 """Maximum angle by which the integrated yaw setpoint may lead the yaw of the drone, rad"""
 
@@ -69,6 +72,24 @@ def get_states(swarm: Swarm) -> list[State]:
     return list(zip(*(array.tolist() for array in arrays), strict=True))
 
 
+def find_corners(airframe: Airframe) -> list[tuple[int, int]]:
+    """Return the corner of each rotor of a quadrotor, in the rotor order of its URDF.
+
+    Returns:
+        Signs of the x (forward) and y (left) coordinate of each rotor.
+
+    Raises:
+        ValueError: If the airframe does not have four rotors, one in each corner.
+    """
+    corners = [(1 if x > 0 else -1, 1 if y > 0 else -1) for x, y, _ in airframe.rotors]
+    if sorted(corners) != sorted(PX4_CORNERS):
+        raise ValueError(
+            f"{airframe.name} has {len(corners)} rotors at corners {shown(corners)}: four are "
+            f"needed, one in each corner, as those of 'iris'"
+        )
+    return corners
+
+
 def compute_corner_speeds(
     airframe: Airframe, fractions: Mapping[tuple[int, int], float]
 ) -> tuple[float, ...]:
@@ -76,8 +97,7 @@ def compute_corner_speeds(
 
     Args:
         airframe: Airframe of the drone.
-        fractions: Fractions of the maximum rotor speed. Keys are the signs of a rotor's x (forward)
-            and y (left) coordinates.
+        fractions: Fractions of the maximum rotor speed by the corners of `find_corners`.
 
     Returns:
         Speed of each rotor, rad/s.
@@ -85,13 +105,7 @@ def compute_corner_speeds(
     Raises:
         ValueError: If the airframe does not have four rotors, one in each corner.
     """
-    corners = [(1 if x > 0 else -1, 1 if y > 0 else -1) for x, y, _ in airframe.rotors]
-    if sorted(corners) != sorted(fractions):
-        raise ValueError(
-            f"{airframe.name} has {len(corners)} rotors at corners {shown(corners)}: four are "
-            f"needed, one in each corner, as those of 'iris'"
-        )
-    return tuple(airframe.max_rotor_speed * fractions[corner] for corner in corners)
+    return tuple(airframe.max_rotor_speed * fractions[corner] for corner in find_corners(airframe))
 
 
 def euler(quaternion: list[float] | tuple[float, ...]) -> tuple[float, float, float]:

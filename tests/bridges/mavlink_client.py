@@ -12,7 +12,30 @@ NAN = math.nan
 ACCEPTED, REJECTED, DENIED, UNSUPPORTED = range(4)
 HOLD, MISSION, RETURN, LAND = (4, 3), (4, 4), (4, 5), (4, 6)
 OFFBOARD = (6, 0)
-WELL_KNOWN = 20 * (11, 20, 21, 23, 39, 40, 41, 43, 44, 45, 47, 51, 73, 75, 76, 82, 84, 86, 111)
+WELL_KNOWN = 20 * (
+    11,
+    20,
+    21,
+    23,
+    39,
+    40,
+    41,
+    43,
+    44,
+    45,
+    47,
+    51,
+    69,
+    73,
+    75,
+    76,
+    82,
+    84,
+    86,
+    111,
+    126,
+    144,
+)
 """Messages that vehicles answer; they come more often than others in `random_frame`"""
 VELOCITY_ONLY, PLACE_ONLY = 0xDC7, 0xDF8
 

@@ -329,6 +329,8 @@ def bombard(fleet, count, seed):
     for k in range(count):
         if k % 2000 == 0:
             station.command(400, 0, 21196)
+            fleet.warm_up()  # upright again, if it has crashed
+            fleet.step()
             station.take_off()
         for message in station.reader.read(random_frame(rng, station.packer)):
             station.hear(fleet.take(0, message, station.sender))

@@ -307,9 +307,7 @@ def test_items_out_of_order_are_asked_for_anew(station):
 def test_too_many_items_are_refused(station):
     (ack,) = messages(station.send("mission_count", *station.target, 501, 0), "MISSION_ACK")
     assert ack.type == NO_SPACE
-    (count,) = station.send("mission_request_list", *station.target, 2)  # rally points
-    assert count.count == 0
-    (ack,) = station.send("mission_count", *station.target, 1, 2)
+    (ack,) = station.send("mission_count", *station.target, 1, 3)
     assert ack.type == NOT_SUPPORTED
     (ack,) = station.send("mission_clear_all", *station.target, 7)
     assert ack.type == NOT_SUPPORTED
@@ -363,13 +361,24 @@ def test_missions_outside_a_fence_are_refused(station):
     assert station.mode(MISSION) == ACCEPTED
 
 
+def test_a_circle_without_a_radius_contains_nothing(station):
+    """As PX4 takes the fences of MAVSDK's examples: the circle is far away."""
+    empty = [(0, 5003, 0.0, 0, 0, 0, 0, 0, 0)]
+    assert station.upload([station.waypoint(9, 0, 3)]) == TAKEN
+    assert station.upload(empty, FENCE) == TAKEN
+    assert station.upload([station.waypoint(9, 0, 3)]) == BAD_X
+    square = fence(station, (-10, -10), (10, -10), (10, 10), (-10, 10))
+    assert station.upload(square + empty, FENCE) == TAKEN
+    assert station.upload([station.waypoint(9, 0, 3)]) == TAKEN
+
+
 @pytest.mark.parametrize(
     "items",
     [
         [(0, 5001, 3, 0, 0, 0, 473977420, 85455940, 0)] * 2,
         [(0, 5001, 2, 0, 0, 0, 473977420, 85455940, 0)] * 2,
         [(0, 5001, NAN, 0, 0, 0, 473977420, 85455940, 0)] * 3,
-        [(0, 5003, 0, 0, 0, 0, 473977420, 85455940, 0)],
+        [(0, 5003, -1, 0, 0, 0, 473977420, 85455940, 0)],
         [(0, 5003, NAN, 0, 0, 0, 473977420, 85455940, 0)],
         [(9, 5003, 5, 0, 0, 0, 473977420, 85455940, 0)],
     ],

@@ -1,0 +1,340 @@
+"""Orbit, following, manual control, rally points, failures and the shell of MAVLink vehicles."""
+
+import logging
+import math
+
+import numpy as np
+import pytest
+from bridges.mavlink_client import (
+    ACCEPTED,
+    DENIED,
+    HOLD,
+    NAN,
+    OFFBOARD,
+    REJECTED,
+    RETURN,
+    UNSUPPORTED,
+    Station,
+    common,
+    messages,
+    texts,
+)
+
+from bulletuav.bridges.mavlink_failures import BATTERY, GPS, MOTOR
+from bulletuav.bridges.mavlink_protocol import Mode
+
+POSITION, ALTITUDE, FOLLOW = (3, 0), (2, 0), (4, 8)
+RALLY = 2
+
+
+def set_parameter(station, name, value):
+    is_int = isinstance(value, int)
+    packed = np.array(value, np.int32).view(np.float32).item() if is_int else value
+    (told,) = station.send("param_set", *station.target, name.encode(), packed, 6 if is_int else 9)
+    assert told.param_value == packed
+
+
+def heading(station):
+    """Heading of a vehicle, degrees clockwise from north."""
+    (hud,) = station.command(512, 74)[1]
+    return hud.heading
+
+
+# Orbit
+
+
+def orbit(station, radius, speed, behavior, north, east, altitude=NAN):
+    x, y = (value * 1e-7 for value in station.spot(north, east))
+    return station.command(34, radius, speed, behavior, 0, x, y, altitude)
+
+
+@pytest.mark.parametrize("radius", [5.0, -5.0])
+def test_an_orbit_is_round_and_faces_its_centre(radius, station):
+    station.take_off(4.0)
+    assert orbit(station, radius, 2.0, 0, 8.0, 0.0)[0] == ACCEPTED
+    station.fly(4.0)
+    assert station.pilot.mode == Mode.ORBIT
+    angles = []
+    for _ in range(10):
+        station.fly(0.5)
+        north, east, down = station.place
+        assert math.hypot(north - 8, east) == pytest.approx(5.0, abs=0.25)
+        assert down == pytest.approx(-4.0, abs=0.15)
+        bearing = math.degrees(math.atan2(0 - east, 8 - north))
+        assert abs(math.remainder(heading(station) - bearing, 360)) < 12
+        angles.append(math.atan2(east, north - 8))
+    # 2 m/s on a radius of 5 m; seen from above, clockwise is from north to east
+    turn = (np.unwrap(angles)[-1] - angles[0]) / 4.5
+    assert turn == pytest.approx(math.copysign(0.4, radius), abs=0.02)
+
+
+@pytest.mark.parametrize(
+    ("fields", "said"),
+    [
+        ((0.5, 2.0, 0), "radius"),
+        ((5000.0, 2.0, 0), "radius"),
+        ((NAN, 2.0, 0), "radius"),
+        ((5.0, 0.0, 0), "speed"),
+        ((5.0, 4.0, 0), "speed"),
+        ((5.0, 2.0, 4), "yaw behaviour"),
+    ],
+)
+def test_orbits_that_cannot_be_are_denied(fields, said, station):
+    station.take_off(4.0)
+    result, more = orbit(station, *fields, 8.0, 0.0)
+    assert result == DENIED
+    assert said in texts(more)[0]
+
+
+def test_an_orbit_needs_a_flying_vehicle_and_a_circle_inside_the_fence(station):
+    assert orbit(station, 5.0, 2.0, 0, 8.0, 0.0)[0] == REJECTED
+    station.take_off(4.0)
+    set_parameter(station, "GF_MAX_HOR_DIST", 20.0)
+    assert orbit(station, 5.0, 2.0, 0, 40.0, 0.0)[0] == DENIED
+    assert station.mode((3, 1)) == DENIED
+
+
+# Following
+
+
+def follow_target(station, north, east, altitude, velocity=(0.0, 0.0, 0.0)):
+    nothing = [0.0] * 3
+    fields = (3, *station.spot(north, east), altitude, velocity, nothing, [1.0, 0, 0, 0])
+    return station.send("follow_target", 0, *fields, nothing, nothing, 0)
+
+
+def test_it_follows_behind_a_moving_target_and_faces_it(station):
+    station.take_off(8.0)
+    station.fly(3.0)
+    set_parameter(station, "FLW_TGT_DST", 4.0)
+    assert station.mode(FOLLOW) == ACCEPTED
+    station.fly(1.0)
+    np.testing.assert_allclose(station.place, (0, 0, -8), atol=0.2)  # no target yet
+    clock = iter(range(10_000))
+
+    def move():
+        k = next(clock)
+        follow_target(station, 6.0, 0.05 * k, 480.0, (0.0, 1.0, 0.0))
+
+    station.fly(12.0, move)
+    target_east = 0.05 * next(clock)
+    np.testing.assert_allclose(station.place, (6, target_east - 4, -8), atol=0.6)
+    assert abs(math.remainder(heading(station) - 90, 360)) < 10
+    # Above a target of that altitude, and never on the ground
+    set_parameter(station, "FLW_TGT_ALT_M", 2)
+    station.fly(8.0, move)
+    assert station.place[2] == pytest.approx(-1.0, abs=0.2)
+    assert station.mode(HOLD) == ACCEPTED
+
+
+# Manual control
+
+
+def sticks(station, pitch=0, roll=0, throttle=500, yaw=0):
+    return station.send("manual_control", 1, pitch, roll, throttle, yaw, 0)
+
+
+def test_sticks_take_off_fly_hold_and_land(station):
+    assert station.mode(POSITION) == REJECTED  # no sticks yet
+    sticks(station)
+    assert station.mode(POSITION) == ACCEPTED
+    assert station.command(400, 1)[0] == ACCEPTED
+    station.fly(3.0, lambda: sticks(station, throttle=1000))
+    assert station.place[2] < -4
+    station.fly(3.0, lambda: sticks(station, pitch=300))
+    assert 3 < station.place[0] < 8
+    station.fly(3.0, lambda: sticks(station))  # brakes
+    stop = station.place
+    station.fly(2.0, lambda: sticks(station))
+    np.testing.assert_allclose(station.place, stop, atol=0.05)
+    station.fly(1.0, lambda: sticks(station, yaw=300))
+    assert 25 < heading(station) < 60
+    station.fly(12.0, lambda: sticks(station, throttle=0))
+    assert station.pilot.has_landed
+    assert not station.pilot.is_armed
+
+
+def test_it_holds_when_sticks_are_lost(station):
+    station.take_off(4.0)
+    sticks(station)
+    station.mode(POSITION)
+    heard = station.fly(1.0)
+    assert "no manual control: hold" in texts(heard)
+    assert station.pilot.mode == Mode.HOLD
+
+
+def test_altitude_mode_tilts_and_keeps_its_height(make_vehicles):
+    station = Station(make_vehicles(1, wind=(2.0, 0.0, 0.0)))
+    station.take_off(4.0)
+    sticks(station)
+    assert station.mode(ALTITUDE) == ACCEPTED
+    start = station.place
+    station.fly(4.0, lambda: sticks(station))
+    assert station.place[1] > start[1] + 0.5  # drifts with the wind
+    assert station.place[2] == pytest.approx(start[2], abs=0.3)
+    station.fly(1.0, lambda: sticks(station, roll=500))
+    (attitude,) = station.command(512, 30)[1]
+    assert math.degrees(attitude.roll) == pytest.approx(17.5, abs=2)
+
+
+def test_sticks_beyond_their_range_count_as_centred(station):
+    station.take_off(4.0)
+    sticks(station)
+    station.mode(POSITION)
+    station.fly(2.0, lambda: sticks(station, pitch=2000, roll=-(2**15), yaw=2**15 - 1))
+    np.testing.assert_allclose(station.place, (0, 0, -4), atol=0.2)
+
+
+# Rally points
+
+
+def test_it_returns_to_the_nearest_rally_point(station):
+    points = [(3, 5100, 0, 0, 0, 0, *station.spot(north, 0.0), 5.0) for north in (12.0, 60.0)]
+    assert station.upload(points, RALLY) == 0
+    (count,) = station.send("mission_request_list", *station.target, RALLY)
+    assert count.count == 2
+    set_parameter(station, "RTL_RETURN_ALT", 5.0)
+    set_parameter(station, "RTL_DESCEND_ALT", 5.0)
+    station.take_off(4.0)
+    station.send("set_mode", 1, 1, 4 << 16 | 3 << 24)
+    x, y = (value * 1e-7 for value in station.spot(8.0, 0.0))
+    station.command(192, -1, 0, 0, NAN, x, y, NAN)
+    station.fly(6.0)
+    assert station.mode(RETURN) == ACCEPTED
+    station.fly(20.0)
+    assert station.pilot.has_landed
+    np.testing.assert_allclose(station.place[:2], (12, 0), atol=0.3)
+
+
+def test_rally_points_are_rally_points_inside_the_fence(station):
+    assert station.upload([station.waypoint(3.0, 0.0, 3.0)], RALLY) == 3
+    set_parameter(station, "GF_MAX_HOR_DIST", 20.0)
+    assert station.upload([(3, 5100, 0, 0, 0, 0, *station.spot(30.0, 0.0), 5.0)], RALLY) == 1
+    assert station.pilot.rally_points == []
+
+
+# Failures
+
+
+def test_failures_need_a_parameter_and_a_unit_that_can_fail(station):
+    assert station.command(420, MOTOR, 1, 1)[0] == DENIED
+    set_parameter(station, "SYS_FAILURE_EN", 1)
+    assert station.command(420, 102, 1, 0)[0] == UNSUPPORTED  # a servo
+    assert station.command(420, MOTOR, 2, 1)[0] == UNSUPPORTED  # stuck
+    assert station.command(420, MOTOR, 1, 5)[0] == DENIED
+    assert station.command(420, MOTOR, 1, -1)[0] == DENIED
+    assert station.command(420, NAN, 1, 1)[0] == DENIED
+    assert (station.fleet.airspace.rotor_effectiveness == 1).all()
+
+
+def test_a_motor_that_fails_stops_and_is_repaired(station):
+    set_parameter(station, "SYS_FAILURE_EN", 1)
+    station.take_off(4.0)
+    assert station.command(420, MOTOR, 1, 2)[0] == ACCEPTED
+    frame, speeds = station.fleet.airspace.airframes[0], station.fleet.airspace.swarm.rotor_speed
+    # PX4's motor 2 is at the rear left
+    (rotor,) = [k for k, (x, y, _) in enumerate(frame.rotors) if x < 0 < y]
+    station.fly(0.5)
+    assert speeds[0, rotor] < 0.05 * frame.max_rotor_speed
+    assert station.command(420, MOTOR, 0, 0)[0] == ACCEPTED
+    assert (station.fleet.airspace.rotor_effectiveness == 1).all()
+    station.fly(1.0)
+    assert station.place[2] > -4  # it has fallen
+
+
+def test_without_gps_it_lands_where_the_wind_takes_it(make_vehicles):
+    station = Station(make_vehicles(1, wind=(2.0, 0.0, 0.0)))
+    set_parameter(station, "SYS_FAILURE_EN", 1)
+    station.take_off(4.0)
+    start = station.place[1]
+    result, _ = station.command(420, GPS, 1, NAN)
+    assert result == ACCEPTED
+    heard = station.fly(9.0)
+    assert "GPS failed: land" in texts(heard)
+    assert station.pilot.has_landed
+    assert station.place[1] > start + 1.0
+    (gps,) = station.command(512, 24)[1]
+    assert (gps.fix_type, gps.satellites_visible) == (0, 0)
+    (status,) = station.command(512, 1)[1]
+    missing = status.onboard_control_sensors_present & ~status.onboard_control_sensors_health
+    assert missing & common.MAV_SYS_STATUS_SENSOR_GPS
+    result, more = station.command(400, 1)
+    assert (result, texts(more)) == (REJECTED, ["hold denied: GPS failed"])
+    assert station.command(420, GPS, 0, 0)[0] == ACCEPTED
+    assert station.command(400, 1)[0] == ACCEPTED
+
+
+@pytest.mark.parametrize(("action", "mode"), [(0, Mode.HOLD), (2, Mode.LAND), (3, Mode.RETURN)])
+def test_an_empty_battery_does_what_a_parameter_says(action, mode, station):
+    set_parameter(station, "SYS_FAILURE_EN", 1)
+    set_parameter(station, "COM_LOW_BAT_ACT", action)
+    station.take_off(4.0)
+    assert station.command(420, BATTERY, 1, 0)[0] == ACCEPTED
+    assert "battery is empty" in texts(station.fly(0.1))
+    assert station.pilot.mode == mode
+    (battery,) = station.command(512, 147)[1]
+    assert (battery.battery_remaining, battery.charge_state) == (0, 5)
+
+
+# Sensors, calibration, shell
+
+
+def test_the_imu_measures_gravity_and_the_field_of_the_earth(station):
+    assert station.command(511, 105, 10000)[0] == ACCEPTED
+    told = messages(station.fly(1.0), "HIGHRES_IMU")
+    assert len(told) == 100
+    last = told[-1]
+    np.testing.assert_allclose((last.xacc, last.yacc), 0, atol=0.02)
+    assert last.zacc == pytest.approx(-9.80665, abs=0.05)
+    # At PX4's home the field is 0.48 gauss strong, 63 degrees down; the vehicle faces north
+    assert math.hypot(last.xmag, last.ymag, last.zmag) == pytest.approx(0.48, abs=0.02)
+    assert math.degrees(math.atan2(last.zmag, last.xmag)) == pytest.approx(63, abs=2)
+    assert last.abs_pressure == pytest.approx(956.0, abs=2)
+
+
+@pytest.mark.parametrize(
+    ("place", "value", "name"), [(1, 1, "gyro"), (2, 1, "mag"), (5, 1, "accel"), (5, 2, "level")]
+)
+def test_calibrations_are_done_without_waiting(place, value, name, station):
+    result, more = station.command(241, *[0] * (place - 1), value)
+    assert result == ACCEPTED
+    assert texts(more)[-1] == f"[cal] calibration done: {name}"
+    assert station.command(241, 1, 1)[0] == UNSUPPORTED
+    station.take_off(4.0)
+    assert station.command(241, *[0] * (place - 1), value)[0] == REJECTED
+
+
+def shell(station, line):
+    data = [*line.encode(), *[0] * 70][:70]
+    told = station.send("serial_control", 10, 2, 0, 0, len(line), data)
+    assert {one.get_type() for one in told} <= {"SERIAL_CONTROL"}
+    return "".join(bytes(one.data[: one.count]).decode() for one in told)
+
+
+def test_the_shell_answers(station):
+    assert shell(station, "ver\n").startswith("bulletuav ")
+    assert shell(station, "param show MIS_TAKEOFF_ALT\n") == "MIS_TAKEOFF_ALT: 2.5\nnsh> "
+    assert len(shell(station, "param show\n").splitlines()) > 20
+    assert shell(station, "param show NO_SUCH\n") == "no parameter NO_SUCH\nnsh> "
+    assert "param show" in shell(station, "help\n")
+    assert shell(station, "reb") == ""
+    assert shell(station, "oot\r\n") == "nsh: reboot: command not found\nnsh> nsh> "
+    assert station.send("serial_control", 0, 2, 0, 0, 2, [10] * 70) == []  # another port
+
+
+# Setpoints
+
+
+def test_a_position_of_zeros_besides_a_velocity_is_logged_once(station, caplog):
+    station.take_off(3.0)
+
+    def fly():
+        fields = (0, 0, 0, 1.0, 0, 0, 0, 0, 0, 0, 0)
+        station.send("set_position_target_local_ned", 0, *station.target, 1, 0x0C00, *fields)
+
+    with caplog.at_level(logging.WARNING):
+        fly()
+        station.mode(OFFBOARD)
+        station.fly(1.0, fly)
+    (record,) = caplog.records
+    assert "mask 0x0C07" in record.getMessage()
