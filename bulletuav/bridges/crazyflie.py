@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 from bulletuav.bridges.crazyflie_fleet import CrazyflieFleet
 from bulletuav.bridges.crtp import MAX_DATA_SIZE, NULL_PACKET, CrtpPort, MalformedError, Packet
+from bulletuav.bridges.links import IDEAL, LinkQuality
 from bulletuav.bridges.sockets import LOG_NAME, Address, DatagramServer
 from bulletuav.envs.viewer import join_address
 from bulletuav.serving.connections import Clock, ConnectionLimits
@@ -60,6 +61,7 @@ class CrazyflieServer(DatagramServer):
         host: str = "127.0.0.1",
         port: int = PORT,
         speed: float = 1.0,
+        quality: LinkQuality = IDEAL,
         limits: ConnectionLimits = LIMITS,
         clock: Clock = time.monotonic,
     ) -> None:
@@ -70,14 +72,15 @@ class CrazyflieServer(DatagramServer):
             host: Address to listen at. Anybody who can reach it can fly the drones.
             port: Port of the first drone; 0 for free ports.
             speed: Simulated seconds per second of real time.
+            quality: Losses and delay of the packets.
             limits: Limits of each drone's client.
             clock: Function that returns the time by which clients are silent, s.
 
         Raises:
-            ValueError: If the port or the speed is invalid.
+            ValueError: If the port, the speed, the losses or the delay are invalid.
             OSError: If a port is in use, or the address does not exist.
         """
-        super().__init__(len(fleet), host, port, fleet.airspace.period, speed)
+        super().__init__(len(fleet), host, port, fleet.airspace.period, speed, quality)
         self.fleet = fleet
         self.refused = 0
         self._limits, self._clock = limits, clock
@@ -95,12 +98,10 @@ class CrazyflieServer(DatagramServer):
     def _read(self, i: int) -> None:
         """Read packets for a drone, up to `MAX_PACKETS_PER_READ`."""
         for _ in range(MAX_PACKETS_PER_READ):
-            try:
-                datagram, address = self._sockets[i].recvfrom(MAX_DATA_SIZE + 2)
-            # The socket is empty; or, on Windows, the receiver of an earlier datagram has gone
-            except OSError:
+            received = self._receive_datagram(i, MAX_DATA_SIZE + 2)
+            if received is None:
                 return
-            self._handle_datagram(i, datagram, address[:2])
+            self._handle_datagram(i, *received)
 
     def _handle_datagram(self, i: int, datagram: bytes, address: Address) -> None:
         """Handle one datagram: a scan, or a packet from the drone's client or from another one."""

@@ -11,6 +11,7 @@ import logging
 import time
 from collections import deque
 
+from bulletuav.bridges.links import IDEAL, LinkQuality
 from bulletuav.bridges.mavlink_fleet import MavlinkFleet
 from bulletuav.bridges.mavlink_protocol import MavlinkCodec, Message, OutgoingMessage, Sender, text
 from bulletuav.bridges.mavlink_services import describe_message, find_refusal_reason, join_frames
@@ -54,6 +55,7 @@ class MavlinkServer(DatagramServer):
         port: int = PORT,
         speed: float = 1.0,
         client_port: int | None = CLIENT_PORT,
+        quality: LinkQuality = IDEAL,
         limits: ConnectionLimits = LIMITS,
         clock: Clock = time.monotonic,
     ) -> None:
@@ -66,18 +68,19 @@ class MavlinkServer(DatagramServer):
             speed: Simulated seconds per second of real time.
             client_port: Port at the same address to which the first vehicle sends unasked. Further
                 vehicles send to the following ports. None for no such ports.
+            quality: Losses and delay of the datagrams.
             limits: Limits of the clients of each vehicle.
             clock: Function that returns the time by which clients are idle, s.
 
         Raises:
-            ValueError: If a port or the speed is invalid.
+            ValueError: If a port, the speed, the losses or the delay are invalid.
             OSError: If a port is in use, or the address does not exist.
             ImportError: If pymavlink is not installed.
         """
         if client_port is not None:
             as_int("client_port", client_port, 1, 65536 - len(fleet))
         self._codecs = [MavlinkCodec(k + 1) for k in range(len(fleet))]
-        super().__init__(len(fleet), host, port, fleet.airspace.period, speed)
+        super().__init__(len(fleet), host, port, fleet.airspace.period, speed, quality)
         self.fleet = fleet
         self.refused = self.received = self.sent = 0
         self._refusals = Refusals(logging.getLogger(LOG_NAME), clock)
@@ -103,7 +106,8 @@ class MavlinkServer(DatagramServer):
 
     def _received(self) -> list[int]:
         """Return the vehicles with received messages that have not been handled."""
-        return [i for i, waiting in enumerate(self._waiting) if waiting]
+        waiting = [i for i, messages in enumerate(self._waiting) if messages]
+        return [*waiting, *super()._received()]
 
     def _broadcast(self, i: int, messages: list[OutgoingMessage]) -> None:
         """Send messages of a vehicle to all its clients, and remove idle clients."""
@@ -130,13 +134,12 @@ class MavlinkServer(DatagramServer):
 
     def _receive(self, i: int) -> bool:
         """Receive a datagram and queue its messages; return False if there is none."""
-        try:
-            datagram, address = self._sockets[i].recvfrom(MAX_DATAGRAM_SIZE)
-        # The socket is empty; or, on Windows, the receiver of an earlier datagram has gone
-        except OSError:
+        received = self._receive_datagram(i, MAX_DATAGRAM_SIZE)
+        if received is None:
             return False
+        datagram, address = received
         messages = self._codecs[i].read(datagram)
-        self._waiting[i].extend((message, address[:2]) for message in messages)
+        self._waiting[i].extend((message, address) for message in messages)
         return True
 
     def _handle_message(self, i: int, message: Message, address: Address) -> None:

@@ -7,10 +7,11 @@ import socket
 import time
 from abc import ABC, abstractmethod
 
+from bulletuav.bridges.links import Address as Address
+from bulletuav.bridges.links import Datagram, LinkQuality, LossyLink
 from bulletuav.envs.pacer import Pacer
 from bulletuav.errors import as_int
 
-Address = tuple[str, int]
 LOG_NAME = "bulletuav.bridges"
 """Name of the logger for rejected calls and connections"""
 
@@ -68,7 +69,15 @@ class DatagramServer(ABC):
         ports: UDP port of each drone.
     """
 
-    def __init__(self, num_drones: int, host: str, port: int, period: float, speed: float) -> None:
+    def __init__(
+        self,
+        num_drones: int,
+        host: str,
+        port: int,
+        period: float,
+        speed: float,
+        quality: LinkQuality,
+    ) -> None:
         """Open one port for each drone; clients are answered while `run` runs.
 
         Args:
@@ -77,12 +86,22 @@ class DatagramServer(ABC):
             port: Port of the first drone; 0 for free ports.
             period: Duration of a step, s.
             speed: Real-time factor: simulated seconds per second of wall-clock time.
+            quality: Losses and delay of the datagrams.
 
         Raises:
-            ValueError: If the port or the speed is out of range.
+            ValueError: If the port, the speed, the losses or the delay are out of range.
             OSError: If a port is in use or the address does not exist.
         """
         as_int("port", port, 0, 65536 - num_drones if port else 0)
+        quality.check()
+        # Links from and to clients; none if all datagrams arrive
+        self._uplinks, self._downlinks = (
+            []
+            if quality.is_ideal
+            else [LossyLink(quality, period, (i, way)) for i in range(num_drones)]
+            for way in range(2)
+        )
+        self._num_steps = 0
         self.pacer = Pacer(period, speed, _sleep=self._serve_packets)
         self._selector = selectors.DefaultSelector()
         self._sockets: list[socket.socket] = []
@@ -120,6 +139,8 @@ class DatagramServer(ABC):
         num_steps = 0
         self.pacer.restart()
         while num_steps < steps:
+            self._num_steps += 1
+            self._deliver()
             self._step()
             num_steps += 1
             # A late loop does not sleep, but still has to read packets.
@@ -152,7 +173,25 @@ class DatagramServer(ABC):
 
     def _received(self) -> list[int]:
         """Return the indices of drones with packets that are received but not handled yet."""
-        return []
+        return [i for i, link in enumerate(self._uplinks) if link.has_due(self._num_steps)]
+
+    def _receive_datagram(self, i: int, max_size: int) -> Datagram | None:
+        """Return the next datagram for a drone, or None.
+
+        Args:
+            i: Index of the drone.
+            max_size: Number of bytes after which a datagram is cut.
+        """
+        try:
+            datagram, address = self._sockets[i].recvfrom(max_size)
+        # The socket is empty; or, on Windows, the receiver of an earlier datagram has gone
+        except OSError:
+            return self._uplinks[i].get(self._num_steps) if self._uplinks else None
+        received = (datagram, address[:2])
+        if not self._uplinks:
+            return received
+        self._uplinks[i].put(received, self._num_steps)
+        return self._uplinks[i].get(self._num_steps)
 
     @abstractmethod
     def _step(self) -> None:
@@ -164,6 +203,19 @@ class DatagramServer(ABC):
 
     def _send_to(self, i: int, datagram: bytes, address: Address) -> None:
         """Send a datagram; a datagram that cannot be sent is lost, as on the radio."""
+        if self._downlinks:
+            self._downlinks[i].put((datagram, address), self._num_steps)
+            self._deliver()
+        else:
+            self._transmit(i, datagram, address)
+
+    def _deliver(self) -> None:
+        """Send the delayed datagrams that are due."""
+        for i, link in enumerate(self._downlinks):
+            while (due := link.get(self._num_steps)) is not None:
+                self._transmit(i, *due)
+
+    def _transmit(self, i: int, datagram: bytes, address: Address) -> None:
         with contextlib.suppress(OSError):
             self._sockets[i].sendto(datagram, address)
 

@@ -10,6 +10,7 @@ from bulletuav.bridges.airsim_settings import AirsimSettings, list_ignored, read
 from bulletuav.bridges.airsim_world import AirsimWorld
 from bulletuav.bridges.crazyflie_fleet import CrazyflieFleet
 from bulletuav.bridges.hil_bodies import HilBodies
+from bulletuav.bridges.links import LinkQuality
 from bulletuav.bridges.mavlink_fleet import MavlinkFleet
 from bulletuav.commands.progress import show_progress
 from bulletuav.envs.viewer import join_address
@@ -19,8 +20,19 @@ from bulletuav.errors import find_choice
 def run(arguments: argparse.Namespace) -> None:
     """Start the server of the given protocol."""
     serve = find_choice("kind of server", arguments.kind, KINDS)
-    for name in ("settings", "recordings"):
-        if getattr(arguments, name) is not None and serve is not _serve_airsim:
+    given = {
+        "loss": (arguments.loss != 0, (_serve_crazyflie, _serve_mavlink)),
+        "delay": (arguments.delay != 0, (_serve_crazyflie, _serve_mavlink)),
+        "positions": (
+            arguments.positions is not None,
+            (_serve_crazyflie, _serve_mavlink, _serve_hil),
+        ),
+        "pictures": (arguments.pictures is not None, (_serve_mavlink,)),
+        "settings": (arguments.settings is not None, (_serve_airsim,)),
+        "recordings": (arguments.recordings is not None, (_serve_airsim,)),
+    }
+    for name, (is_given, servers) in given.items():
+        if is_given and serve not in servers:
             raise ValueError(f"--{name} has no effect on {arguments.kind}: omit it")
     serve(arguments)
 
@@ -72,12 +84,35 @@ def _format_addresses(host: str, ports: list[int], scheme: str = "") -> str:
     return ", ".join(places)
 
 
+def _drones(arguments: argparse.Namespace) -> int | list[tuple[float, float]]:
+    """Return the number of drones, or their positions.
+
+    Raises:
+        ValueError: If both are given, or the positions are not pairs.
+    """
+    given = arguments.positions
+    if given is None:
+        return 1 if arguments.drones is None else int(arguments.drones)
+    if arguments.drones is not None:
+        raise ValueError("--drones and --positions are given: leave one out")
+    if len(given) % 2:
+        raise ValueError(f"--positions has {len(given)} numbers: two for each drone are needed")
+    return list(zip(given[::2], given[1::2], strict=True))
+
+
+def _quality(arguments: argparse.Namespace) -> LinkQuality:
+    """Return losses and delay of the links."""
+    return LinkQuality(arguments.loss, arguments.delay, arguments.seed)
+
+
 def _serve_crazyflie(arguments: argparse.Namespace) -> None:
     """Serve virtual Crazyflies."""
-    fleet = CrazyflieFleet(arguments.drones, arguments.airframe or "cf2x", **_options(arguments))
+    fleet = CrazyflieFleet(_drones(arguments), arguments.airframe or "cf2x", **_options(arguments))
     _serve(
         fleet,
-        lambda: crazyflie.CrazyflieServer(fleet, *_address(arguments, crazyflie.PORT)),
+        lambda: crazyflie.CrazyflieServer(
+            fleet, *_address(arguments, crazyflie.PORT), _quality(arguments)
+        ),
         lambda server: (
             f"{len(fleet)} drones at {_format_addresses(arguments.host, server.ports, 'udp://')}"
         ),
@@ -88,6 +123,7 @@ def _serve_crazyflie(arguments: argparse.Namespace) -> None:
 def _serve_airsim(arguments: argparse.Namespace) -> None:
     """Serve vehicles to AirSim clients."""
     frame = arguments.airframe or "iris"
+    drones = 1 if arguments.drones is None else arguments.drones
     path = arguments.settings
     settings = AirsimSettings() if path is None else read_settings(path)
     options = _options(arguments)
@@ -95,9 +131,7 @@ def _serve_airsim(arguments: argparse.Namespace) -> None:
         raise ValueError("--wind is given, and Wind in the settings file: leave one out")
     if settings.ignored:
         print(f"{path}: these keys have no effect: {list_ignored(settings.ignored)}", flush=True)
-    world = AirsimWorld(
-        arguments.drones, frame, lidar=arguments.lidar, settings=settings, **options
-    )
+    world = AirsimWorld(drones, frame, lidar=arguments.lidar, settings=settings, **options)
     world.paused = arguments.paused
     recordings = None if arguments.recordings is None else Path(arguments.recordings)
     port = airsim.PORT if settings.port is None else settings.port
@@ -112,12 +146,15 @@ def _serve_airsim(arguments: argparse.Namespace) -> None:
 
 def _serve_mavlink(arguments: argparse.Namespace) -> None:
     """Serve MAVLink vehicles."""
-    fleet = MavlinkFleet(arguments.drones, arguments.airframe or "iris", **_options(arguments))
+    options = {**_options(arguments), "pictures": arguments.pictures}
+    fleet = MavlinkFleet(_drones(arguments), arguments.airframe or "iris", **options)
     given = arguments.client_port
     clients = mavlink.CLIENT_PORT if given is None else given
     _serve(
         fleet,
-        lambda: mavlink.MavlinkServer(fleet, *_address(arguments, mavlink.PORT), clients),
+        lambda: mavlink.MavlinkServer(
+            fleet, *_address(arguments, mavlink.PORT), clients, _quality(arguments)
+        ),
         lambda server: (
             f"{len(fleet)} vehicles at {_format_addresses(arguments.host, server.ports)}; "
             f"they send to ports {clients} to {clients + len(fleet) - 1}"
@@ -129,7 +166,7 @@ def _serve_mavlink(arguments: argparse.Namespace) -> None:
 def _serve_hil(arguments: argparse.Namespace) -> None:
     """Serve simulated bodies to autopilots, by PX4's simulator protocol."""
     options = {**_options(arguments), "seed": arguments.seed or 0}
-    bodies = HilBodies(arguments.drones, arguments.airframe or "iris", **options)
+    bodies = HilBodies(_drones(arguments), arguments.airframe or "iris", **options)
     _serve(
         bodies,
         lambda: hil.HilServer(bodies, *_address(arguments, hil.PORT)),

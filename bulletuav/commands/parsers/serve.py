@@ -17,6 +17,7 @@ ABOUT = {
   bulletuav serve airsim --drones 2 --lidar
   bulletuav serve airsim --settings settings.json
   bulletuav serve mavlink --drones 3
+  bulletuav serve mavlink --loss 0.1 --delay 0.05
   bulletuav serve hil --wind 3 0 0""",
 }
 
@@ -43,7 +44,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     # Drones
     parser.add_argument("kind", help=_kinds)
     parser.add_argument(
-        "--drones", type=int, default=1, metavar="N", help="number of drones (default: 1)"
+        "--drones", type=int, metavar="N", help="number of drones, on a grid (default: 1)"
+    )
+    parser.add_argument(
+        "--positions",
+        type=float,
+        nargs="+",
+        metavar="EAST NORTH",
+        help="start positions in m, two numbers for each drone, instead of --drones",
     )
     parser.add_argument("--airframe", help="name or URDF file (default: iris; for crazyflie cf2x)")
     # Address; by default only this machine has access
@@ -61,6 +69,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--speed", type=float, help="speed relative to real time, above 0 (default: 1)"
     )
+    parser.add_argument(
+        "--loss",
+        type=float,
+        default=0.0,
+        help="crazyflie, mavlink: probability that a datagram is lost, each way (default: 0)",
+    )
+    parser.add_argument(
+        "--delay",
+        type=float,
+        default=0.0,
+        help="crazyflie, mavlink: delay of datagrams in s, each way (default: 0)",
+    )
     # World and clock
     parser.add_argument(
         "--dynamics",
@@ -75,12 +95,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar=("EAST", "NORTH", "UP"),
         help="steady wind in m/s",
     )
-    parser.add_argument("--seed", type=int, help="seed of gusts and noise (default: random)")
+    parser.add_argument("--seed", type=int, help="seed of gusts, noise and losses (default random)")
     parser.add_argument(
         "--settings", metavar="FILE", help="airsim: AirSim's settings.json: vehicles, cameras, ..."
     )
     parser.add_argument(
         "--recordings", metavar="FOLDER", help="airsim: folder for what clients record"
+    )
+    parser.add_argument(
+        "--pictures",
+        metavar="FOLDER",
+        help="mavlink: equip drones with cameras, whose pictures are written there",
     )
     parser.add_argument("--lidar", action="store_true", help="airsim: equip drones with a lidar")
     parser.add_argument(
