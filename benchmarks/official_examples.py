@@ -32,6 +32,7 @@ from datetime import date
 from pathlib import Path
 from typing import Any
 
+import bulletuav
 from bulletuav.files import replace_file
 from bulletuav.parsing import read_yaml
 
@@ -56,7 +57,8 @@ class Example:
         environment: Environment variables of the example.
         keys: Texts that are typed in turn, one each second, in a loop.
         before: Python statements that run in its process before it, such as the replacement of a
-            window on a computer without a display. The page shows them.
+            window on a computer without a display. The page shows them. The folder of this
+            package's bridges is in the environment variable BULLETUAV_BRIDGES.
         files: Files that are written next to it by their names: a text, or values to write as JSON.
         serve: More words of the server's command.
         limit: Time limit, s.
@@ -213,6 +215,7 @@ def fly(
     launcher = ["-c", f"import sys\nsys.argv = sys.argv[1:]\n{LAUNCHER.format(example.before)}"]
     # Temporary files of examples are removed with the copy, and its client is not to find ours
     changes = {"TMPDIR": str(home), "PYTHONUNBUFFERED": "1", "MPLBACKEND": "Agg"}
+    changes["BULLETUAV_BRIDGES"] = str(Path(bulletuav.__file__).parent / "bridges")
     kept = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
     own = {key: str(value).format(**groups) for key, value in example.environment.items()}
     # Examples that wait for a key need a terminal

@@ -5,6 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 from bulletuav.bridges.mavlink_coordinates import GLOBAL_FRAMES
+from bulletuav.bridges.mavlink_gimbal import DEVICE_ID, REMOVE
 from bulletuav.bridges.mavlink_motions import FACE_TANGENT, OrbitPlan
 from bulletuav.bridges.mavlink_protocol import (
     Command,
@@ -39,21 +40,25 @@ class CommandRequest(NamedTuple):
     Attributes:
         frame: MAVLink frame of the position.
         params: (7,) parameters; the fifth and sixth are latitude and longitude, deg.
+        sender: System and component of the sender.
     """
 
     frame: int
     params: tuple[float, ...]
+    sender: tuple[int, int]
 
     @classmethod
     def from_message(cls, message: Message) -> "CommandRequest":
         """Convert a COMMAND_LONG or a COMMAND_INT."""
+        sender = (message.get_srcSystem(), message.get_srcComponent())
         first = tuple(getattr(message, f"param{k}") for k in range(1, 5))
         if message.get_type() == "COMMAND_LONG":
-            return cls(GLOBAL_FRAMES[0], (*first, message.param5, message.param6, message.param7))
+            last = (message.param5, message.param6, message.param7)
+            return cls(GLOBAL_FRAMES[0], (*first, *last), sender)
         coordinates = (
             math.nan if value == UNSET_INT32 else value * 1e-7 for value in (message.x, message.y)
         )
-        return cls(message.frame, (*first, *coordinates, message.z))
+        return cls(message.frame, (*first, *coordinates, message.z), sender)
 
     def get_int(self, k: int) -> int:
         """Return parameter k, from 1 to 7, as an integer.
@@ -150,6 +155,52 @@ def _inject_failure(
     instance = 0 if math.isnan(request.params[2]) else request.get_int(3)
     vehicle.pilot.inject_failure(unit, kind, instance)
     return ()
+
+
+def _look_at(
+    vehicle: MavlinkVehicle, streams: TelemetryRates, request: CommandRequest
+) -> Sequence[OutgoingMessage]:
+    """Let the gimbal look at a position."""
+    if not math.isfinite(sum(request.params[4:])):
+        raise RefusedError("region of interest: a position is needed")
+    vehicle.gimbal.look_at(_read_position(vehicle, request))
+    return ()
+
+
+def _look_forward(
+    vehicle: MavlinkVehicle, streams: TelemetryRates, request: CommandRequest
+) -> Sequence[OutgoingMessage]:
+    """Let the gimbal look forward."""
+    vehicle.gimbal.look_at(None)
+    return ()
+
+
+def _point_gimbal(
+    vehicle: MavlinkVehicle, streams: TelemetryRates, request: CommandRequest
+) -> Sequence[OutgoingMessage]:
+    """Point the gimbal: pitch and yaw (deg), their rates (deg/s), and flags."""
+    _require_gimbal(request)
+    angles = [math.radians(value) for value in request.params[:4]]
+    vehicle.gimbal.point(angles[0], angles[1], angles[2], angles[3], request.get_int(5))
+    return ()
+
+
+def _configure_gimbal(
+    vehicle: MavlinkVehicle, streams: TelemetryRates, request: CommandRequest
+) -> Sequence[OutgoingMessage]:
+    """Set which systems control the gimbal."""
+    _require_gimbal(request)
+    numbers = [request.get_int(k) for k in range(1, 5)]
+    if not all(REMOVE <= number <= 255 for number in numbers):
+        raise RefusedError(f"gimbal: systems from {REMOVE} to 255 are needed")
+    vehicle.gimbal.configure(numbers, request.sender)
+    return ()
+
+
+def _require_gimbal(request: CommandRequest) -> None:
+    """Raise RefusedError if a command is for another gimbal."""
+    if request.params[6] not in (0, DEVICE_ID):
+        raise RefusedError(f"no such gimbal: use {DEVICE_ID}, or 0 for all")
 
 
 def _calibrate(
@@ -290,6 +341,8 @@ COMMANDS: Mapping[int, CommandHandler] = {
     Command.CHANGE_SPEED: _change_speed,
     Command.TERMINATE: _terminate,
     Command.REPOSITION: _reposition,
+    Command.ROI_LOCATION: _look_at,
+    Command.ROI_NONE: _look_forward,
     Command.PAUSE: _pause,
     Command.SET_MISSION_CURRENT: _set_current,
     Command.CALIBRATE: _calibrate,
@@ -300,6 +353,8 @@ COMMANDS: Mapping[int, CommandHandler] = {
     Command.GET_INTERVAL: _get_interval,
     Command.SET_INTERVAL: _set_interval,
     Command.REQUEST_MESSAGE: _request_message,
+    Command.GIMBAL_PITCHYAW: _point_gimbal,
+    Command.GIMBAL_CONFIGURE: _configure_gimbal,
     Command.REQUEST_CAPABILITIES: _make_message_handler(AUTOPILOT_VERSION),
 }
 """Handlers by command; other commands are acknowledged as unsupported"""

@@ -1,12 +1,16 @@
 """Fleet of MAVLink vehicles in one airspace, without sockets: messages in, messages out."""
 
+import math
 from collections.abc import Sequence
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from bulletuav.bridges.mavlink_camera import PICTURE_SIZE, VERTICAL_FOV, Camera
 from bulletuav.bridges.mavlink_coordinates import Site
+from bulletuav.bridges.mavlink_gimbal import compute_heading
 from bulletuav.bridges.mavlink_protocol import Message, OutgoingMessage, Sender
 from bulletuav.bridges.mavlink_services import Services
 from bulletuav.bridges.mavlink_telemetry import STEP_HZ
@@ -14,7 +18,9 @@ from bulletuav.bridges.mavlink_vehicle import MavlinkVehicle
 from bulletuav.bridges.setpoints import NORTH, apply_commands, get_states, make_airspace
 from bulletuav.bridges.starts import make_start_positions
 from bulletuav.earth import Origin, attitude_to_ned
-from bulletuav.errors import as_int, as_sequence
+from bulletuav.errors import as_int, as_sequence, shown
+from bulletuav.geometry.rotation import from_euler, product
+from bulletuav.vehicle.airframe import Airframe
 from bulletuav.vehicle.airframes import load_airframe
 
 PHYSICS_HZ = 500
@@ -49,6 +55,7 @@ class MavlinkFleet:
         airframe: Any = "iris",
         *,
         home: Sequence[float] = HOME,
+        pictures: str | Path | None = None,
         **options: Any,
     ) -> None:
         """Place the vehicles on the ground, and switch them on.
@@ -57,11 +64,16 @@ class MavlinkFleet:
             drones: Number of vehicles, in rows 2 m apart; or their positions, (N, 2), m.
             airframe: Airframe of all vehicles.
             home: Latitude, longitude (degrees) and altitude (m) of the airspace's origin.
+            pictures: Folder for the pictures of cameras; None for vehicles without cameras.
             **options: Further options of `Airspace`, such as wind or obstacles.
 
         Raises:
             ValueError: If an option is invalid.
+            NotADirectoryError: If there is no folder for pictures.
         """
+        if pictures is not None and not Path(pictures).is_dir():
+            raise NotADirectoryError(f"no folder {shown(str(pictures))}: create it for pictures")
+        self._has_cameras = pictures is not None
         frame = load_airframe(airframe)
         places = make_start_positions(drones, frame.standing_height, SPACING)
         as_int("number of drones", len(places), 1, MAX_VEHICLES)
@@ -75,21 +87,41 @@ class MavlinkFleet:
             **options,
         }
         self.airspace = make_airspace(places, airframe, **settings)
+        sites = [Site.from_start(self.origin, place) for place in places]
         self.services = [
-            Services(
-                MavlinkVehicle(
-                    k + 1,
-                    frame,
-                    Site.from_start(self.origin, place),
-                    partial(self._locate, k),
-                    partial(self._set_rotors, k),
-                )
-            )
-            for k, place in enumerate(places)
+            Services(self._make_vehicle(k, frame, site), self._make_camera(k, pictures))
+            for k, site in enumerate(sites)
         ]
         self.tick, self._starts = 0, places
         self._velocity = self.airspace.swarm.velocity.copy()
         self._update_vehicles()
+
+    def _make_vehicle(self, i: int, airframe: Airframe, site: Site) -> MavlinkVehicle:
+        """Return the autopilot of a vehicle."""
+        set_rotors = partial(self._set_rotors, i)
+        return MavlinkVehicle(i + 1, airframe, site, partial(self._locate, i), set_rotors)
+
+    def _make_camera(self, i: int, folder: str | Path | None) -> Camera | None:
+        """Return the camera of a vehicle, or None without a folder for its pictures."""
+        if folder is None:
+            return None
+        return Camera(Path(folder), i + 1, partial(self._take_picture, i))
+
+    def _take_picture(self, i: int) -> tuple[np.ndarray, tuple[float, ...]]:
+        """Return the view of a vehicle's gimbal, and its pose; see `Camera`."""
+        vehicle = self.services[i].vehicle
+        state, gimbal = vehicle.pilot.state, vehicle.gimbal
+        heading = math.pi / 2 - compute_heading(state) - gimbal.relative_yaw(state)
+        view = from_euler(0.0, -gimbal.pitch, heading)
+        # Below the body, stabilised against its tilt
+        place = (0.0, 0.0, -vehicle.airframe.standing_height)
+        x, y, z, w = state[1]
+        mount = product((-x, -y, -z, w), view)
+        picture = self.airspace.picture(i, place, mount, None, PICTURE_SIZE, VERTICAL_FOV)
+        latitude, longitude, altitude = vehicle.locate()[:3]
+        attitude = attitude_to_ned(np.array(view), scalar_first=True).tolist()
+        height = altitude - vehicle.site.altitude
+        return picture.pixels, (latitude, longitude, altitude, height, *attitude)
 
     def __len__(self) -> int:
         """Return the number of vehicles."""
@@ -125,6 +157,8 @@ class MavlinkFleet:
     def warm_up(self) -> None:
         """Compile the simulation, which takes a minute the first time; the vehicles do not move."""
         self.airspace.warm_up()
+        if self._has_cameras:
+            self._take_picture(0)
         self.airspace.place(None, self._starts, NORTH)
 
     def _update_vehicles(self) -> None:
@@ -136,6 +170,7 @@ class MavlinkFleet:
         self._geodetic_poses: list[list[float]] | None = None
         for i, (service, state) in enumerate(zip(self.services, get_states(swarm), strict=True)):
             service.vehicle.acceleration = change[i]
+            service.vehicle.gimbal.update(state, self.time)
             service.vehicle.pilot.update_state(state, self.time, i in touching or self.tick == 0)
 
     def _set_rotors(self, i: int, effectiveness: Sequence[float]) -> None:

@@ -34,6 +34,8 @@ class Command(IntEnum):
     CHANGE_SPEED = 178
     TERMINATE = 185
     REPOSITION = 192
+    ROI_LOCATION = 195
+    ROI_NONE = 197
     PAUSE = 193
     SET_MISSION_CURRENT = 224
     CALIBRATE = 241
@@ -45,6 +47,11 @@ class Command(IntEnum):
     SET_INTERVAL = 511
     REQUEST_MESSAGE = 512
     REQUEST_CAPABILITIES = 520
+    SET_CAMERA_MODE = 530
+    GIMBAL_PITCHYAW = 1000
+    GIMBAL_CONFIGURE = 1001
+    START_CAPTURE = 2000
+    STOP_CAPTURE = 2001
 
 
 class CommandResult(IntEnum):
@@ -90,10 +97,12 @@ class OutgoingMessage(NamedTuple):
     Attributes:
         name: Message name in lower case, such as "heartbeat".
         fields: Values in the order of pymavlink's message class.
+        component: Component that sends the message.
     """
 
     name: str
     fields: tuple[Any, ...]
+    component: int = COMPONENT
 
 
 class Sender(NamedTuple):
@@ -146,6 +155,7 @@ class MavlinkCodec:
     def pack(self, outgoing: OutgoingMessage) -> bytes:
         """Encode a message as a MAVLink 2 frame."""
         message = getattr(self._dialect, f"MAVLink_{outgoing.name}_message")(*outgoing.fields)
+        self._packer.srcComponent = outgoing.component
         frame = bytes(message.pack(self._packer))
         self._packer.seq = (self._packer.seq + 1) % 256
         return frame

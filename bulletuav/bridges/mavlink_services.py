@@ -5,7 +5,9 @@ import math
 from collections.abc import Sequence
 
 from bulletuav.bridges import mavlink_setpoints
+from bulletuav.bridges.mavlink_camera import CAMERA_COMPONENT, Camera
 from bulletuav.bridges.mavlink_commands import COMMANDS, CommandRequest, set_mode
+from bulletuav.bridges.mavlink_gimbal import DEVICE_ID
 from bulletuav.bridges.mavlink_missions import ACCEPTED
 from bulletuav.bridges.mavlink_motions import Sticks, Target
 from bulletuav.bridges.mavlink_protocol import (
@@ -54,10 +56,12 @@ class Services:
     Attributes:
         vehicle: The vehicle.
         streams: Intervals of the telemetry streams.
+        camera: Camera; None for none.
     """
 
-    def __init__(self, vehicle: MavlinkVehicle) -> None:
+    def __init__(self, vehicle: MavlinkVehicle, camera: Camera | None = None) -> None:
         """Initialise the handler of a vehicle."""
+        self.camera = camera
         self.vehicle, self.streams = vehicle, TelemetryRates(vehicle.system_id)
         self._setpoint_sender: Sender | None = None
         self._warned: Sender | None = None
@@ -78,7 +82,10 @@ class Services:
         system_id = getattr(message, "target_system", getattr(message, "target", 0))
         if system_id not in (0, self.vehicle.system_id):
             return []
-        if getattr(message, "target_component", 0) not in (0, COMPONENT):
+        component = getattr(message, "target_component", 0)
+        if component == CAMERA_COMPONENT and self.camera is not None:
+            return self.camera.answer(message, sender)
+        if component not in (0, COMPONENT):
             return []
         # Commands, setpoints and missions have answers of their own
         message_type = message.get_type()
@@ -105,6 +112,10 @@ class Services:
             return [make_message(self.vehicle, MISSION_CURRENT)]
         elif message_type == "FOLLOW_TARGET":
             self._set_target(message)
+        elif message_type == "GIMBAL_MANAGER_SET_PITCHYAW":
+            if message.gimbal_device_id in (0, DEVICE_ID):
+                angles = (message.pitch, message.yaw, message.pitch_rate, message.yaw_rate)
+                self.vehicle.gimbal.point(*angles, message.flags)
         elif message_type == "SERIAL_CONTROL":
             return self.vehicle.shell.answer(message)
         elif message_type == "TIMESYNC" and message.tc1 == 0:
@@ -195,6 +206,8 @@ class Services:
         if pilot.route.reached:
             messages.append(make_message(vehicle, MISSION_CURRENT))
         messages += [text(status) for status in pilot.status_texts]
+        if self.camera is not None:
+            messages += self.camera.due(tick)
         pilot.route.reached.clear()
         pilot.status_texts.clear()
         return messages

@@ -186,6 +186,22 @@ def _odometry(vehicle: MavlinkVehicle) -> tuple[Any, ...]:
     return (vehicle.time_boot_ms * 1000, 1, 12, *kinematics, unknown, unknown)
 
 
+def _gimbal_manager(vehicle: MavlinkVehicle) -> tuple[Any, ...]:
+    return vehicle.gimbal.manager_information(vehicle.time_boot_ms)
+
+
+def _gimbal_status(vehicle: MavlinkVehicle) -> tuple[Any, ...]:
+    return vehicle.gimbal.manager_status(vehicle.time_boot_ms)
+
+
+def _gimbal_device(vehicle: MavlinkVehicle) -> tuple[Any, ...]:
+    return vehicle.gimbal.device_information(vehicle.time_boot_ms)
+
+
+def _gimbal_attitude(vehicle: MavlinkVehicle) -> tuple[Any, ...]:
+    return vehicle.gimbal.attitude_status(vehicle.time_boot_ms, vehicle.pilot.state)
+
+
 def _autopilot_version(vehicle: MavlinkVehicle) -> tuple[Any, ...]:
     none = [0] * 8
     return CAPABILITIES, VERSION, 0, 0, 0, none, none, none, 0, 0, vehicle.system_id
@@ -223,6 +239,10 @@ STREAMS: Mapping[int, TelemetryStream] = {
     148: TelemetryStream("autopilot_version", 0, _autopilot_version),
     242: TelemetryStream("home_position", 0.5, _home),
     245: TelemetryStream("extended_sys_state", 2, _extended),
+    280: TelemetryStream("gimbal_manager_information", 0, _gimbal_manager),
+    281: TelemetryStream("gimbal_manager_status", 0.5, _gimbal_status),
+    283: TelemetryStream("gimbal_device_information", 0, _gimbal_device),
+    285: TelemetryStream("gimbal_device_attitude_status", 1, _gimbal_attitude),
     331: TelemetryStream("odometry", 0, _odometry),
 }
 """Telemetry streams by message ID"""

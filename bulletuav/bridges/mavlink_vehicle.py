@@ -5,6 +5,7 @@ from collections.abc import Callable, Sequence
 from bulletuav.bridges.mavlink_coordinates import Site
 from bulletuav.bridges.mavlink_failures import Failures
 from bulletuav.bridges.mavlink_fence import Geofence, MissionItem
+from bulletuav.bridges.mavlink_gimbal import Gimbal
 from bulletuav.bridges.mavlink_items import check_mission
 from bulletuav.bridges.mavlink_missions import MISSION, MissionService
 from bulletuav.bridges.mavlink_parameters import MavlinkParameterService
@@ -23,6 +24,7 @@ class MavlinkVehicle:
         parameters: Parameters.
         pilot: Arming, flight modes and motions.
         shell: Shell.
+        gimbal: Gimbal.
         acceleration: (3,) mean acceleration over the last step, m/s^2.
         missions: Mission, geofence and rally points.
         locate: Function that returns latitude and longitude (deg), altitude (m), and the attitude
@@ -52,7 +54,7 @@ class MavlinkVehicle:
         self._fence = Geofence(site, self.parameters.values)
         failures = Failures(airframe, self.parameters.values, set_rotors)
         self.pilot = Pilot(airframe, site, self.parameters, self._fence, failures)
-        self.shell = Shell(self.parameters.values)
+        self.shell, self.gimbal = Shell(self.parameters.values), Gimbal()
         self.acceleration = [0.0] * 3
         self.missions = MissionService(
             self._check_mission, self._fence, self._set_rally_points, self._update_mission

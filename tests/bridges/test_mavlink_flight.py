@@ -41,6 +41,8 @@ def test_numbers_are_those_of_the_dialect():
         "CHANGE_SPEED": common.MAV_CMD_DO_CHANGE_SPEED,
         "TERMINATE": common.MAV_CMD_DO_FLIGHTTERMINATION,
         "REPOSITION": common.MAV_CMD_DO_REPOSITION,
+        "ROI_LOCATION": common.MAV_CMD_DO_SET_ROI_LOCATION,
+        "ROI_NONE": common.MAV_CMD_DO_SET_ROI_NONE,
         "PAUSE": common.MAV_CMD_DO_PAUSE_CONTINUE,
         "SET_MISSION_CURRENT": common.MAV_CMD_DO_SET_MISSION_CURRENT,
         "CALIBRATE": common.MAV_CMD_PREFLIGHT_CALIBRATION,
@@ -51,6 +53,11 @@ def test_numbers_are_those_of_the_dialect():
         "GET_INTERVAL": common.MAV_CMD_GET_MESSAGE_INTERVAL,
         "SET_INTERVAL": common.MAV_CMD_SET_MESSAGE_INTERVAL,
         "REQUEST_MESSAGE": common.MAV_CMD_REQUEST_MESSAGE,
+        "SET_CAMERA_MODE": common.MAV_CMD_SET_CAMERA_MODE,
+        "START_CAPTURE": common.MAV_CMD_IMAGE_START_CAPTURE,
+        "STOP_CAPTURE": common.MAV_CMD_IMAGE_STOP_CAPTURE,
+        "GIMBAL_PITCHYAW": common.MAV_CMD_DO_GIMBAL_MANAGER_PITCHYAW,
+        "GIMBAL_CONFIGURE": common.MAV_CMD_DO_GIMBAL_MANAGER_CONFIGURE,
         "REQUEST_CAPABILITIES": common.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES,
     }
     assert {one.name: int(one) for one in mavlink_protocol.Command} == commands

@@ -19,6 +19,7 @@ from bridges.mavlink_client import (
     messages,
     texts,
 )
+from PIL import Image
 
 from bulletuav.bridges.mavlink_failures import BATTERY, GPS, MOTOR
 from bulletuav.bridges.mavlink_protocol import Mode
@@ -320,6 +321,168 @@ def test_the_shell_answers(station):
     assert shell(station, "reb") == ""
     assert shell(station, "oot\r\n") == "nsh: reboot: command not found\nnsh> nsh> "
     assert station.send("serial_control", 0, 2, 0, 0, 2, [10] * 70) == []  # another port
+
+
+# Gimbal
+
+
+def gimbal_angles(station):
+    """Pitch (up) and yaw (clockwise from the heading) of the gimbal, degrees."""
+    (told,) = station.command(512, 285)[1]
+    assert told.flags & common.GIMBAL_DEVICE_FLAGS_YAW_IN_VEHICLE_FRAME
+    w, x, y, z = told.q
+    roll = math.atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
+    assert roll == pytest.approx(0, abs=1e-6)
+    pitch, yaw = (
+        math.asin(2 * (w * y - x * z)),
+        math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)),
+    )
+    return math.degrees(pitch), math.degrees(yaw)
+
+
+def point(station, pitch=NAN, yaw=NAN, pitch_rate=NAN, yaw_rate=NAN, flags=0):
+    return station.command(1000, pitch, yaw, pitch_rate, yaw_rate, flags, 0, 1)[0]
+
+
+def test_the_gimbal_points_turns_and_keeps_its_limits(station):
+    assert point(station, -30.0, 90.0) == ACCEPTED
+    assert gimbal_angles(station) == pytest.approx((-30, 90), abs=0.01)
+    assert point(station, 90.0, 200.0) == ACCEPTED
+    assert gimbal_angles(station) == pytest.approx((45, -160), abs=0.01)
+    point(station, 0.0, 0.0)
+    assert point(station, pitch_rate=5.0, yaw_rate=-10.0) == ACCEPTED
+    station.fly(2.0)
+    assert gimbal_angles(station) == pytest.approx((10, -20), abs=0.2)
+    station.send("gimbal_manager_set_pitchyaw", *station.target, 0, 1, 0.1, 0.2, NAN, NAN)
+    assert gimbal_angles(station) == pytest.approx(np.degrees((0.1, 0.2)), abs=0.01)
+
+
+def test_a_locked_yaw_stays_while_the_vehicle_turns(station):
+    station.take_off(4.0)
+    point(station, 0.0, 45.0, flags=common.GIMBAL_MANAGER_FLAGS_YAW_LOCK)
+    station.fly(4.0, lambda: station.position(0, 0, -4, math.pi / 2))
+    station.mode(OFFBOARD)
+    station.fly(4.0, lambda: station.position(0, 0, -4, math.pi / 2))
+    assert gimbal_angles(station)[1] == pytest.approx(45 - 90, abs=2)
+
+
+def test_the_gimbal_looks_at_a_position(station):
+    station.take_off(10.0)
+    station.fly(4.0)
+    x, y = (value * 1e-7 for value in station.spot(0.0, 10.0))
+    assert station.command(195, 0, 0, 0, 0, x, y, station.fleet.origin.altitude)[0] == ACCEPTED
+    station.fly(0.1)
+    assert gimbal_angles(station) == pytest.approx((-45, 90), abs=1.5)
+    assert station.command(195, 0, 0, 0, 0, NAN, y, 0)[0] == DENIED
+    assert station.command(197)[0] == ACCEPTED
+    assert gimbal_angles(station) == pytest.approx((0, 0), abs=0.01)
+
+
+def test_systems_take_control_of_the_gimbal(station):
+    def controls():
+        (told,) = station.command(512, 281)[1]
+        return told.primary_control_sysid, told.primary_control_compid
+
+    assert controls() == (0, 0)
+    assert station.command(1001, -2, -2, -1, -1, 0, 0, 1)[0] == ACCEPTED
+    assert controls() == (255, 190)
+    assert station.command(1001, 7, 1, -1, -1)[0] == ACCEPTED
+    assert controls() == (7, 1)
+    assert station.command(1001, -3, -3, -3, -3)[0] == ACCEPTED
+    assert controls() == (0, 0)
+    for fields in ((300, 1), (-4, 1), (NAN, 1), (1, 1, 0, 0, 0, 0, 5)):
+        assert station.command(1001, *fields)[0] == DENIED
+    assert station.command(1000, 0, 0, 0, 0, 0, 0, 5)[0] == DENIED
+
+
+# Camera
+
+CAMERA = 100
+
+
+@pytest.fixture
+def camera(make_vehicles, tmp_path):
+    """A vehicle with a camera; returns its station and a function that commands the camera."""
+    station = Station(make_vehicles(1, pictures=tmp_path))
+
+    def command(number, *numbers):
+        numbers = (*numbers, *[0.0] * (7 - len(numbers)))
+        ack, *more = station.send("command_long", 1, CAMERA, number, 0, *numbers)
+        assert (ack.command, ack.get_srcComponent()) == (number, CAMERA)
+        return ack.result, more
+
+    return station, command
+
+
+def test_the_camera_describes_itself(camera):
+    station, command = camera
+    beats = [one for one in messages(station.fly(2.0), "HEARTBEAT") if one.type == 30]
+    assert [one.get_srcComponent() for one in beats] == [CAMERA] * 2
+    for number, name in (
+        (259, "CAMERA_INFORMATION"),
+        (260, "CAMERA_SETTINGS"),
+        (261, "STORAGE_INFORMATION"),
+        (262, "CAMERA_CAPTURE_STATUS"),
+    ):
+        result, (told,) = command(512, number)
+        assert (result, told.get_type()) == (ACCEPTED, name)
+    assert command(512, 33)[0] == UNSUPPORTED
+    assert command(530, 0, 0)[0] == ACCEPTED
+    assert command(530, 0, 1)[0] == UNSUPPORTED  # video
+    assert command(400, 1)[0] == UNSUPPORTED
+    assert station.command(512, 259)[0] == UNSUPPORTED  # the autopilot is none
+
+
+def test_pictures_show_where_the_gimbal_points(camera, tmp_path):
+    station, command = camera
+    station.take_off(10.0)
+    point(station, 30.0, 0.0)
+    assert command(2000, 0, 0, 1)[0] == ACCEPTED
+    (up,) = messages(station.fly(0.1), "CAMERA_IMAGE_CAPTURED")
+    point(station, -90.0, 0.0)
+    assert command(2000, 0, 0, 1)[0] == ACCEPTED
+    (down,) = messages(station.fly(0.1), "CAMERA_IMAGE_CAPTURED")
+    assert [up.image_index, down.image_index] == [0, 1]
+    assert down.relative_alt == pytest.approx(7000, abs=1500)
+    sky, ground = (
+        np.asarray(Image.open(tmp_path / one.file_url)).astype(int) for one in (up, down)
+    )
+    assert sky.shape == (480, 640, 3)
+    assert sky[:, :, 2].mean() > sky[:, :, 1].mean()  # blue above, green below
+    assert ground[:, :, 2].mean() < ground[:, :, 1].mean()
+    result, (told,) = command(512, 263, 0)
+    assert (result, told.file_url) == (ACCEPTED, "vehicle1_0000.png")
+    assert command(512, 263, 2)[0] == DENIED
+
+
+def test_pictures_are_taken_at_an_interval_until_they_are_stopped(camera, tmp_path):
+    station, command = camera
+    assert command(2000, 0, 0.5, 3)[0] == ACCEPTED
+    station.fly(3.0)
+    assert len(list(tmp_path.iterdir())) == 3
+    assert command(2000, 0, 0.5, 0)[0] == ACCEPTED
+    (status,) = command(512, 262)[1]
+    assert (status.image_status, status.image_count) == (3, 3)
+    station.fly(0.8)
+    assert command(2001)[0] == ACCEPTED
+    station.fly(2.0)
+    assert len(list(tmp_path.iterdir())) == 5
+    for fields in ((0.1, 3), (NAN, 3), (1.0, -1), (1.0, 1e9), (1.0, NAN), (1.0, 1.5)):
+        assert command(2000, 0, *fields)[0] == DENIED
+
+
+def test_a_picture_that_cannot_be_written_is_reported(camera, tmp_path):
+    station, command = camera
+    tmp_path.rmdir()
+    command(2000, 0, 1.0, 0)
+    assert any("cannot be written" in one for one in texts(station.fly(1.0)))
+    (status,) = command(512, 262)[1]
+    assert (status.image_status, status.image_count) == (0, 0)
+
+
+def test_pictures_need_a_folder(make_vehicles, tmp_path):
+    with pytest.raises(NotADirectoryError, match="create it for pictures"):
+        make_vehicles(1, pictures=tmp_path / "none")
 
 
 # Setpoints
