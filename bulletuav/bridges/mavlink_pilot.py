@@ -346,7 +346,7 @@ class Pilot:
         if mode == Mode.OFFBOARD and not self.has_recent_setpoint:
             reason = "offboard denied: send setpoints first"
             raise RefusedError(reason, CommandResult.TEMPORARILY_REJECTED)
-        if mode in MANUAL_MODES and self._has_lost_sticks:
+        if mode in MANUAL_MODES and not self.has_recent_sticks:
             reason = "manual control denied: send sticks first"
             raise RefusedError(reason, CommandResult.TEMPORARILY_REJECTED)
         if mode == Mode.ORBIT and not isinstance(self._motion, Orbit):
@@ -363,9 +363,9 @@ class Pilot:
             self._motion = self._start_motion(mode)
 
     @property
-    def _has_lost_sticks(self) -> bool:
-        """True if no sticks have arrived within COM_RC_LOSS_T."""
-        return self.now - self.sticks.time > self._values["COM_RC_LOSS_T"]
+    def has_recent_sticks(self) -> bool:
+        """True if sticks have arrived within COM_RC_LOSS_T."""
+        return self.now - self.sticks.time <= self._values["COM_RC_LOSS_T"]
 
     def _require_position(self, mode: Mode) -> None:
         """Raise RefusedError if a mode needs a position, and the GPS receiver has failed."""

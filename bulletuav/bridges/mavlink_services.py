@@ -144,7 +144,8 @@ class Services:
         pilot, vehicle, message_type = self.vehicle.pilot, self.vehicle, message.get_type()
         try:
             # Setpoints of two clients would make the vehicle jump back and forth
-            if self._setpoint_sender not in (None, sender) and pilot.has_recent_setpoint:
+            is_commanded = pilot.has_recent_setpoint or pilot.has_recent_sticks
+            if self._setpoint_sender not in (None, sender) and is_commanded:
                 raise RefusedError("setpoints denied: another client sends setpoints")
             if message_type == "MANUAL_CONTROL":
                 pilot.sticks = _read_sticks(message, pilot.now)

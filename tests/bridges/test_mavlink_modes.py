@@ -186,6 +186,18 @@ def test_sticks_beyond_their_range_count_as_centred(station):
     np.testing.assert_allclose(station.place, (0, 0, -4), atol=0.2)
 
 
+def test_a_second_client_does_not_fly_meanwhile(station):
+    station.take_off(4.0)
+    other = Station(station.fleet, system=254, link="there")
+    sticks(station)
+    (said,) = texts(sticks(other, pitch=1000))
+    assert said == "setpoints denied: another client sends setpoints"
+    assert station.pilot.sticks.pitch == 0
+    station.fly(1.0)
+    assert sticks(other, pitch=1000) == []
+    assert station.pilot.sticks.pitch == 1
+
+
 # Rally points
 
 
