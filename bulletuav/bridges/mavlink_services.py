@@ -173,8 +173,13 @@ class Services:
     def _warn_of_position(
         self, message: Message, setpoint: Setpoint | AirspaceCommand, sender: Sender
     ) -> None:
-        """Log once for each client that a velocity setpoint has a position, too."""
-        has_both = isinstance(setpoint, Setpoint) and any(setpoint.feedforward[:3])
+        """Log once for each client that a velocity setpoint has a position, too.
+
+        A mask that leaves out nothing but the yaw is probably meant for the velocity alone.
+        """
+        selects_all = not message.type_mask & 0x1FF
+        has_velocity = isinstance(setpoint, Setpoint) and any(setpoint.feedforward[:3])
+        has_both = selects_all and has_velocity
         if has_both and message.x == message.y == message.z == 0 and self._warned != sender:
             self._warned = sender
             LOG.warning(

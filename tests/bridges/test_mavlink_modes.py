@@ -503,11 +503,13 @@ def test_pictures_need_a_folder(make_vehicles, tmp_path):
 def test_a_position_of_zeros_besides_a_velocity_is_logged_once(station, caplog):
     station.take_off(3.0)
 
-    def fly():
+    def fly(mask=0x0C00):
         fields = (0, 0, 0, 1.0, 0, 0, 0, 0, 0, 0, 0)
-        station.send("set_position_target_local_ned", 0, *station.target, 1, 0x0C00, *fields)
+        station.send("set_position_target_local_ned", 0, *station.target, 1, mask, *fields)
 
     with caplog.at_level(logging.WARNING):
+        fly(0x0DC0)  # without the acceleration, and so with a chosen position
+        assert not caplog.records
         fly()
         station.mode(OFFBOARD)
         station.fly(1.0, fly)
