@@ -16,7 +16,7 @@ from bulletuav.envs.env_spec import EnvSpec
 from bulletuav.envs.gymnasium import environment_id
 from bulletuav.errors import shown
 from bulletuav.files import replace_file
-from bulletuav.policies.find import read_run_config
+from bulletuav.policies.find import config_file, read_run_config
 from bulletuav.policies.run import CONFIG, POLICY, SHIPPED, RunConfig, plain_value
 from bulletuav.policies.scores import read_scores
 from bulletuav.tasks import find_task, list_tasks
@@ -68,10 +68,10 @@ in simulation only.
 
 | | |
 |---|---|
-| algorithm | `{algo}`, {steps:,} decisions, seed {seed} |
-| observes | {observes} |
+| settings | `{config}`: `{algo}`, {steps:,} decisions, seed {seed} |
+{notes}| observes | {observes} |
 | action | `{action}` |
-| trained by | `bulletuav train --config {config}` |
+| train with these settings | `bulletuav train --config {config}` |
 
 ## Scores
 
@@ -133,8 +133,9 @@ def write_hub(run: Path, place: Path, trust: bool = False) -> list[Path]:
     if place.resolve() == run.resolve():
         raise ValueError(f"{place} is the folder of the run: choose another one by --out FOLDER")
     shutil.copyfile(run / POLICY, place / POLICY)
+    # With its comments, which say where the policy comes from
+    shutil.copyfile(config_file(run), place / CONFIG)
     texts = {
-        CONFIG: config.text(),
         ENVIRONMENT: ENV_TEXT.format(
             task=config.task,
             identifier=environment_id(config.task),
@@ -145,7 +146,7 @@ def write_hub(run: Path, place: Path, trust: bool = False) -> list[Path]:
     }
     for name, text in texts.items():
         replace_file(place / name, text)
-    return [place / name for name in (POLICY, *texts)]
+    return [place / name for name in (POLICY, CONFIG, *texts)]
 
 
 def options(config: RunConfig) -> dict[str, Any]:
@@ -162,7 +163,9 @@ def card(run: Path, config: RunConfig) -> str:
     """
     spec = EnvSpec(config.task, 1, config.evaluated)
     measured = scores(run, config)
-    name = f"bulletuav-{config.task}"
+    # The policy for any quadrotor has the task hover
+    is_shipped = run.resolve().parent == SHIPPED.resolve()
+    name = f"bulletuav-{run.resolve().name if is_shipped else config.task}"
     data: dict[str, Any] = {
         "library_name": "bulletuav",
         "license": "mit",
@@ -184,6 +187,7 @@ def card(run: Path, config: RunConfig) -> str:
         algo=config.algo,
         steps=config.steps,
         seed=config.seed,
+        notes="".join(f"| note | {note} |\n" for note in _notes(run)),
         observes=", ".join(f"`{block}`" for block in blocks),
         action=spec.options.action,
         config=CONFIG,
@@ -193,8 +197,19 @@ def card(run: Path, config: RunConfig) -> str:
     )
 
 
+def _notes(run: Path) -> list[str]:
+    """Return remarks on the origin of a policy: comments of its settings, and its checkpoint."""
+    file = config_file(run)
+    lines = file.read_text(encoding="utf-8").splitlines()
+    comments = " ".join(line.removeprefix("#").strip() for line in lines if line.startswith("#"))
+    checkpoint = "" if file.parent == run else f"checkpoint {run.name} of this training"
+    return [note for note in (comments, checkpoint) if note]
+
+
 def scores(run: Path, config: RunConfig) -> list[Score]:
-    """Return what is known of a policy: in the package its table, else the end of its curve.
+    """Return the measured scores of a policy.
+
+    Those of the package are in its tables, and those of other runs at the end of their curves.
 
     Args:
         run: Folder of the training run.

@@ -30,6 +30,9 @@ def run(arguments: argparse.Namespace) -> None:
         "pictures": (arguments.pictures is not None, (_serve_mavlink,)),
         "settings": (arguments.settings is not None, (_serve_airsim,)),
         "recordings": (arguments.recordings is not None, (_serve_airsim,)),
+        "lidar": (arguments.lidar, (_serve_airsim,)),
+        "paused": (arguments.paused, (_serve_airsim,)),
+        "client-port": (arguments.client_port is not None, (_serve_mavlink,)),
     }
     for name, (is_given, servers) in given.items():
         if is_given and serve not in servers:

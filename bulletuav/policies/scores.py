@@ -42,11 +42,14 @@ def warn_of_difficulty(task: str, difficulty: str) -> None:
     score = read_scores(task).get(difficulty)
     if score is None or is_better(score):
         return
-    algo = RunConfig.read(SHIPPED / task / CONFIG).algo
+    config = RunConfig.read(SHIPPED / task / CONFIG)
+    remedy = f"train one by bulletuav train {task} --algo {config.algo} --difficulty {difficulty}"
+    if config.options.get("difficulty") == difficulty:
+        remedy = "it was trained there, and another one needs other settings"
     warnings.warn(
-        f"the package's policy for {task} was not made for difficulty {difficulty!r}: its safe "
-        f"success there is {show(score['trained'])}, and that of 'stay' {show(score['stay'])}; "
-        f"train one by bulletuav train {task} --algo {algo} --difficulty {difficulty}",
+        f"the package's policy for {task} was not measurably better than 'stay' at difficulty "
+        f"{difficulty!r}: safe success {show(score['trained'])} and {show(score['stay'])}; "
+        f"{remedy}",
         stacklevel=4,
     )
 

@@ -26,7 +26,7 @@ def learn_by_sb3(config: RunConfig, store: Store, progress: Progress, note: Note
         store: Storage of the run; if it has rows, the last checkpoint is restored.
         progress: Called with the number of finished steps.
         note: Called with a text when episodes end.
-        log: Called with what TensorBoard gets.
+        log: Called with the values that are logged to TensorBoard.
 
     Raises:
         ValueError: If a setting is invalid.

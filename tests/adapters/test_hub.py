@@ -11,7 +11,7 @@ import yaml
 import bulletuav
 from bulletuav.adapters.hub import write_hub
 from bulletuav.cli import main
-from bulletuav.policies.run import CONFIG, POLICY, RunConfig, shipped
+from bulletuav.policies.run import CONFIG, POLICY, SHIPPED, RunConfig, shipped
 from bulletuav.policies.scores import read_scores
 from bulletuav.training.store import CURVE
 
@@ -101,6 +101,28 @@ def test_the_scores_of_a_run_are_those_of_the_end_of_its_curve(tmp_path):
     wanted = [("safe_success", 0.75), ("return", -2.5), ("conflict", 0.25), ("collision", 0.0)]
     assert found == wanted
     assert "| difficulty easy, dynamics point_mass, 20 episodes | return | -2.5 |" in text
+
+
+@pytest.mark.parametrize(
+    ("name", "title", "note"),
+    [
+        ("crossing", "bulletuav-crossing", "| note | One policy for 2 to 64 drones"),
+        ("foundation", "bulletuav-foundation", "| note | bulletuav 0.9.0, "),
+    ],
+)
+def test_the_card_says_where_a_policy_comes_from(name, title, note, tmp_path):
+    write_hub(SHIPPED / name, tmp_path)
+    _, text = read_card(tmp_path)
+    assert f"# {title}\n" in text
+    assert note in text
+    assert (tmp_path / CONFIG).read_text() == (SHIPPED / name / CONFIG).read_text()
+
+
+def test_the_card_of_a_checkpoint_says_that_it_is_one(tmp_path):
+    write_hub(shipped("free_flight") / "checkpoints" / "000", tmp_path)
+    data, text = read_card(tmp_path)
+    assert "| note | checkpoint 000 of this training |" in text
+    assert "model-index" not in data
 
 
 def test_links_and_commands_of_the_card_are_real(tmp_path):

@@ -22,15 +22,19 @@ def make(policy, task, difficulty, **options):
 def test_a_policy_that_does_not_beat_stay_warns_with_its_score_and_the_remedy(monkeypatch):
     known = {"medium": SCORE}
     monkeypatch.setattr(scores, "read_scores", lambda task: known)
-    with pytest.warns(UserWarning, match="not made for") as found:
+    with pytest.warns(UserWarning, match="not measurably better") as found:
         make("trained", "follow", "medium")
     (warning,) = found
     text = str(warning.message)
-    assert "policy for follow was not made for difficulty 'medium'" in text
-    assert (
-        "its safe success there is 0.50 [0.40, 0.60], and that of 'stay' 0.30 [0.20, 0.40]" in text
-    )
+    assert "for follow was not measurably better than 'stay' at difficulty 'medium'" in text
+    assert "safe success 0.50 [0.40, 0.60] and 0.30 [0.20, 0.40]" in text
     assert text.endswith("bulletuav train follow --algo fast_ppo --difficulty medium")
+
+
+def test_the_remedy_is_not_the_training_that_the_policy_had(monkeypatch):
+    monkeypatch.setattr(scores, "read_scores", lambda task: {"hard": SCORE})
+    with pytest.warns(UserWarning, match="was trained there, and another one needs other settings"):
+        make("trained", "follow", "hard")
 
 
 @pytest.mark.parametrize(
