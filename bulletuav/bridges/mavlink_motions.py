@@ -17,6 +17,9 @@ MIN_COURSE_SPEED = 0.5
 """Speed of a target above which its velocity gives its course, m/s"""
 MIN_FOLLOW_HEIGHT = 1.0
 """Minimum height above home while following a target, m"""
+TARGET_TIMEOUT = 3.0
+"""Time without messages after which a target counts as lost, s: GPS_MESSAGE_STALE_TIMEOUT_MS of PX4
+(https://github.com/PX4/PX4-Autopilot, TargetEstimator.hpp), which then stops its estimate, too"""
 FOLLOW_GAIN = 1.0
 """Speed towards the goal for each metre of distance to it, 1/s"""
 CONSTANT_ALTITUDE, TARGET_ALTITUDE = 0, 2
@@ -128,6 +131,7 @@ class FollowMovingTarget(MotionPrimitive):
         ground: float,
         values: Mapping[str, float],
         hold: Setpoint,
+        report: Callable[[str], None],
     ) -> None:
         """Follow a target; hold a position until there is one.
 
@@ -136,13 +140,15 @@ class FollowMovingTarget(MotionPrimitive):
             ground: Height of home, m.
             values: Values of the parameters.
             hold: Setpoint without a target.
+            report: Function that sends a text to the clients, once for each loss of the target.
         """
         super().__init__(0.0, math.inf)
         self._get_target, self._ground, self._values = get_target, ground, values
         self._setpoint, self._course = hold, math.pi / 2
+        self._report, self._is_lost = report, False
 
     def get_setpoint(self, state: State, now: float) -> Setpoint:
-        """Return the velocity towards the goal, which moves with the target."""
+        """Return the velocity towards the goal, which moves with the target until it is lost."""
         target, values = self._get_target(), self._values
         if target is None:
             return self._setpoint
@@ -151,8 +157,13 @@ class FollowMovingTarget(MotionPrimitive):
             self._course = atan2(vy, vx)
         # FLW_TGT_FA is clockwise from the target's course
         angle = self._course - math.radians(values["FLW_TGT_FA"])
-        # The last known velocity predicts the target until its next message
-        delay = now - target.time
+        # The last known velocity predicts the target until its next message, or its loss
+        delay = min(now - target.time, TARGET_TIMEOUT)
+        was_lost, self._is_lost = self._is_lost, delay == TARGET_TIMEOUT
+        if self._is_lost:
+            vx = vy = 0.0
+            if not was_lost:
+                self._report("target lost: waiting at its last position")
         tx, ty, tz = (p + v * delay for p, v in zip(target.position, target.velocity, strict=True))
         distance, height = values["FLW_TGT_DST"], values["FLW_TGT_HT"]
         base = tz if values["FLW_TGT_ALT_M"] == TARGET_ALTITUDE else self._ground

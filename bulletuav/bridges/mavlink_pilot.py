@@ -411,7 +411,9 @@ class Pilot:
         if mode == Mode.FOLLOW:
             hold = HoldPosition(self.state, self.now).get_setpoint(self.state, self.now)
             ground = self._site.start[2]
-            return FollowMovingTarget(lambda: self.target, ground, self._values, hold)
+            return FollowMovingTarget(
+                lambda: self.target, ground, self._values, hold, self.status_texts.append
+            )
         return HoldPosition(self.state, self.now)
 
     def _next_mission_motion(self) -> MotionPrimitive | None:

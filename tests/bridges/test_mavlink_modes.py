@@ -128,6 +128,22 @@ def test_it_follows_behind_a_moving_target_and_faces_it(station):
     assert station.mode(HOLD) == ACCEPTED
 
 
+def test_it_waits_for_a_target_that_is_lost(station):
+    station.take_off(8.0)
+    set_parameter(station, "FLW_TGT_DST", 4.0)
+    station.mode(FOLLOW)
+    follow_target(station, 4.0, 0.0, 480.0, (3.0, 0.0, 0.0))
+    assert texts(station.fly(2.9)) == []
+    assert texts(station.fly(9.0)) == ["target lost: waiting at its last position"]
+    # 3 s at 3 m/s beyond the last position, and 4 m behind
+    np.testing.assert_allclose(station.place, (9, 0, -8), atol=0.3)
+    assert station.pilot.mode == Mode.FOLLOW
+    follow_target(station, 20.0, 0.0, 480.0, (1.0, 0.0, 0.0))
+    assert texts(station.fly(2.0)) == []
+    assert station.place[0] > 12
+    assert len(texts(station.fly(2.0))) == 1
+
+
 # Manual control
 
 
