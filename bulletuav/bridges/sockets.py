@@ -19,6 +19,8 @@ LOG_NAME = "bulletuav.bridges"
 LATE_READ_FRACTION = 0.25
 """Fraction of the duration of a step for which a late server still reads packets, so that a flood
 of packets cannot stop the flight"""
+MAX_UNDELIVERED = 64
+"""Maximum number of datagrams that are received in a row without one that a link delivers"""
 
 
 def make_listen_error(host: str, port: int, kind: str, error: OSError) -> OSError:
@@ -178,20 +180,26 @@ class DatagramServer(ABC):
     def _receive_datagram(self, i: int, max_size: int) -> Datagram | None:
         """Return the next datagram for a drone, or None.
 
+        Lost and delayed datagrams are received until the link delivers one, the socket is empty, or
+        `MAX_UNDELIVERED` is reached.
+
         Args:
             i: Index of the drone.
             max_size: Number of bytes after which a datagram is cut.
         """
-        try:
-            datagram, address = self._sockets[i].recvfrom(max_size)
-        # The socket is empty; or, on Windows, the receiver of an earlier datagram has gone
-        except OSError:
-            return self._uplinks[i].get(self._num_steps) if self._uplinks else None
-        received = (datagram, address[:2])
-        if not self._uplinks:
-            return received
-        self._uplinks[i].put(received, self._num_steps)
-        return self._uplinks[i].get(self._num_steps)
+        for _ in range(MAX_UNDELIVERED):
+            try:
+                datagram, address = self._sockets[i].recvfrom(max_size)
+            # The socket is empty; or, on Windows, the receiver of an earlier datagram has gone
+            except OSError:
+                break
+            received = (datagram, address[:2])
+            if not self._uplinks:
+                return received
+            self._uplinks[i].put(received, self._num_steps)
+            if self._uplinks[i].has_due(self._num_steps):
+                break
+        return self._uplinks[i].get(self._num_steps) if self._uplinks else None
 
     @abstractmethod
     def _step(self) -> None:

@@ -10,6 +10,7 @@ from bridges.mavlink_client import common
 from bulletuav.bridges.crazyflie import CrazyflieServer
 from bulletuav.bridges.links import MAX_WAITING, LinkQuality, LossyLink
 from bulletuav.bridges.mavlink import MavlinkServer
+from bulletuav.bridges.sockets import MAX_UNDELIVERED
 from bulletuav.cli import main
 
 PERIOD = 0.01
@@ -96,6 +97,34 @@ def test_half_of_the_telemetry_is_lost(make_vehicles, keep_running):
             numbers += [one.get_seq() for one in packer.parse_buffer(client.recv(2000)) or ()]
     sent = sum((b - a) % 256 for a, b in itertools.pairwise(numbers))
     assert 0.3 < len(numbers) / sent < 0.7
+
+
+def test_a_late_server_reads_on_after_a_lost_datagram(make_vehicles):
+    quality = LinkQuality(loss=0.5, seed=0)
+    # No step of 10 ms takes 10 ns, so that the server is late and reads once per step
+    server = MavlinkServer(make_vehicles(1), port=0, speed=1e6, client_port=None, quality=quality)
+    heartbeat = common.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as client:
+        for _ in range(30):
+            client.sendto(
+                heartbeat.pack(common.MAVLink(None, 255, 190)), ("127.0.0.1", server.ports[0])
+            )
+        server.run(0.01)
+    server.close()
+    assert 8 <= server.received <= 22
+
+
+def test_a_late_server_without_deliveries_flies_on(make_vehicles):
+    quality = LinkQuality(loss=1.0, seed=0)
+    server = MavlinkServer(make_vehicles(1), port=0, speed=1e6, client_port=None, quality=quality)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as client:
+        for _ in range(MAX_UNDELIVERED + 1):
+            client.sendto(b"", ("127.0.0.1", server.ports[0]))
+        server.run(0.01)
+        assert server._sockets[0].recv(10) == b""  # the last one waits
+        with pytest.raises(BlockingIOError):
+            server._sockets[0].recv(10)
+    server.close()
 
 
 @pytest.mark.parametrize(
