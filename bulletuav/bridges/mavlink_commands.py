@@ -133,7 +133,7 @@ def _orbit(
     vehicle: MavlinkVehicle, streams: TelemetryRates, request: CommandRequest
 ) -> Sequence[OutgoingMessage]:
     """Fly a circle: radius (negative: counter-clockwise), speed, yaw behaviour, centre."""
-    radius, speed, behavior, *_ = request.params
+    radius, speed, behavior, sweep, *_ = request.params
     speed = abs(speed) if math.isfinite(speed) else DEFAULT_ORBIT_SPEED
     behavior = behavior if math.isfinite(behavior) else 0.0
     if not 1 <= abs(radius) <= MAX_ORBIT_RADIUS:
@@ -142,6 +142,8 @@ def _orbit(
         raise RefusedError("orbit: speed is 0, or too fast for the radius")
     if behavior not in range(FACE_TANGENT + 1):
         raise RefusedError(f"orbit: yaw behaviour from 0 to {FACE_TANGENT} is needed")
+    if math.isfinite(sweep) and sweep:
+        raise RefusedError("orbit: angle 0 (without end) is needed")
     center = _read_position(vehicle, request)
     vehicle.pilot.orbit(OrbitPlan(center, abs(radius), speed, radius > 0, int(behavior)))
     return ()

@@ -26,6 +26,8 @@ CONSTANT_ALTITUDE, TARGET_ALTITUDE = 0, 2
 """Values of FLW_TGT_ALT_M: FLW_TGT_HT is above home, or above the target"""
 MAX_STICK_LEAD = 1.0
 """Maximum distance between the position that sticks command and the vehicle, m"""
+NUM_ORBIT_POINTS = 360
+"""Number of points at which a circle is compared with the geofence"""
 STICK_DEADZONE = 0.05
 """Deflection below which a stick counts as centred"""
 
@@ -49,7 +51,14 @@ class OrbitPlan(NamedTuple):
 
     def entry(self, position: list[float]) -> tuple[float, float, float]:
         """Return the point of the circle that is nearest to a position (3,), m."""
-        angle = self._angle(position)
+        return self._point(self._angle(position))
+
+    def points(self) -> list[tuple[float, float, float]]:
+        """Return `NUM_ORBIT_POINTS` points around the circle, m."""
+        return [self._point(math.tau * k / NUM_ORBIT_POINTS) for k in range(NUM_ORBIT_POINTS)]
+
+    def _point(self, angle: float) -> tuple[float, float, float]:
+        """Return the point of the circle in a direction, rad from east to north."""
         x, y, z = self.center
         return x + self.radius * cos(angle), y + self.radius * sin(angle), z
 

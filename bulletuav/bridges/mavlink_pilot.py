@@ -313,9 +313,9 @@ class Pilot:
         Raises:
             RefusedError: If the circle breaches the geofence, or the vehicle does not fly.
         """
-        entry = plan.entry(self.state[0])
-        self._fence.require_inside("circle is", entry)
-        self.go_to(entry, None)
+        for point in plan.points():
+            self._fence.require_inside("circle is", point)
+        self.go_to(plan.entry(self.state[0]), None)
         self.mode = Mode.ORBIT
         self._next_motion = lambda: Orbit(plan, self.state, self.now)
 

@@ -44,9 +44,9 @@ def heading(station):
 # Orbit
 
 
-def orbit(station, radius, speed, behavior, north, east, altitude=NAN):
+def orbit(station, radius, speed, behavior, north, east, altitude=NAN, angle=0.0):
     x, y = (value * 1e-7 for value in station.spot(north, east))
-    return station.command(34, radius, speed, behavior, 0, x, y, altitude)
+    return station.command(34, radius, speed, behavior, angle, x, y, altitude)
 
 
 @pytest.mark.parametrize("radius", [5.0, -5.0])
@@ -87,11 +87,22 @@ def test_orbits_that_cannot_be_are_denied(fields, said, station):
     assert said in texts(more)[0]
 
 
+def test_an_orbit_has_no_end(station):
+    station.take_off(4.0)
+    result, more = orbit(station, 5.0, 2.0, 0, 8.0, 0.0, angle=math.pi)
+    assert (result, texts(more)) == (DENIED, ["orbit: angle 0 (without end) is needed"])
+    assert orbit(station, 5.0, 2.0, 0, 8.0, 0.0, angle=NAN)[0] == ACCEPTED
+
+
 def test_an_orbit_needs_a_flying_vehicle_and_a_circle_inside_the_fence(station):
     assert orbit(station, 5.0, 2.0, 0, 8.0, 0.0)[0] == REJECTED
     station.take_off(4.0)
     set_parameter(station, "GF_MAX_HOR_DIST", 20.0)
     assert orbit(station, 5.0, 2.0, 0, 40.0, 0.0)[0] == DENIED
+    # The nearest point of the circle is inside, the farthest is not
+    result, more = orbit(station, 6.0, 2.0, 0, 15.0, 0.0)
+    assert (result, texts(more)) == (DENIED, ["circle is outside GF_MAX_HOR_DIST of 20 m"])
+    assert orbit(station, 4.0, 2.0, 0, 15.0, 0.0)[0] == ACCEPTED
     assert station.mode((3, 1)) == DENIED
 
 
