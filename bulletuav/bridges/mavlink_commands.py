@@ -30,6 +30,14 @@ DEFAULT_ORBIT_SPEED, MAX_ORBIT_RADIUS = 1.0, 1000.0
 """Speed of an orbit without one (m/s), and maximum radius (m), as in PX4"""
 CALIBRATIONS = {(1, 1): "gyro", (2, 1): "mag", (5, 1): "accel", (5, 2): "level"}
 """Sensors by the number and the value of a parameter of `Command.CALIBRATE`"""
+POSITION_COMMANDS = (
+    Command.LAND,
+    Command.TAKEOFF,
+    Command.ORBIT,
+    Command.REPOSITION,
+    Command.ROI_LOCATION,
+)
+"""Commands whose parameters 5 to 7 are a position"""
 CUSTOM_MODE_ENABLED = 1
 """Bit of a base mode that announces PX4's custom modes (MAV_MODE_FLAG_CUSTOM_MODE_ENABLED)"""
 
@@ -39,7 +47,8 @@ class CommandRequest(NamedTuple):
 
     Attributes:
         frame: MAVLink frame of the position.
-        params: (7,) parameters; the fifth and sixth are latitude and longitude, deg.
+        params: (7,) parameters; the fifth and sixth of `POSITION_COMMANDS` are latitude and
+            longitude, deg.
         sender: System and component of the sender.
     """
 
@@ -55,8 +64,10 @@ class CommandRequest(NamedTuple):
         if message.get_type() == "COMMAND_LONG":
             last = (message.param5, message.param6, message.param7)
             return cls(GLOBAL_FRAMES[0], (*first, *last), sender)
+        # Other numbers than coordinates have no scale
+        scale = 1e-7 if message.command in POSITION_COMMANDS else 1.0
         coordinates = (
-            math.nan if value == UNSET_INT32 else value * 1e-7 for value in (message.x, message.y)
+            math.nan if value == UNSET_INT32 else value * scale for value in (message.x, message.y)
         )
         return cls(message.frame, (*first, *coordinates, message.z), sender)
 

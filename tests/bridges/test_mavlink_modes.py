@@ -344,6 +344,22 @@ def test_calibrations_are_done_without_waiting(place, value, name, station):
     assert station.command(241, *[0] * (place - 1), value)[0] == REJECTED
 
 
+def command_int(station, number, *params, x=0, y=0, z=0.0):
+    """Send a command as COMMAND_INT; return its result."""
+    params = (*params, *[0.0] * (4 - len(params)))
+    ack, *_ = station.send("command_int", *station.target, 0, number, 0, 0, *params, x, y, z)
+    return ack.result
+
+
+def test_integers_of_commands_without_a_position_have_no_scale(station):
+    assert command_int(station, 241, x=1) == ACCEPTED
+    assert command_int(station, 241, x=10_000_000) == UNSUPPORTED
+    locked = common.GIMBAL_MANAGER_FLAGS_YAW_LOCK
+    assert command_int(station, 1000, -30.0, 90.0, NAN, NAN, x=locked) == ACCEPTED
+    (told,) = station.command(512, 285)[1]
+    assert told.flags & common.GIMBAL_DEVICE_FLAGS_YAW_LOCK
+
+
 def shell(station, line):
     data = [*line.encode(), *[0] * 70][:70]
     told = station.send("serial_control", 10, 2, 0, 0, len(line), data)
