@@ -236,12 +236,16 @@ class Pilot:
         """Arm, and start the motion of the mode.
 
         Raises:
-            RefusedError: If the vehicle lies upside down, or the mode cannot be entered.
+            RefusedError: If the vehicle lies upside down, the battery is empty, or the mode cannot
+                be entered.
         """
         if self.is_armed:
             return
         if self.has_tumbled:
             reason = "arming denied: upside down; restart the server"
+            raise RefusedError(reason, CommandResult.TEMPORARILY_REJECTED)
+        if self.failures.is_battery_empty:
+            reason = "arming denied: battery is empty"
             raise RefusedError(reason, CommandResult.TEMPORARILY_REJECTED)
         self.is_armed, self._has_flown, self._contact_change_time = (
             True,

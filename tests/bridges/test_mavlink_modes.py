@@ -316,6 +316,16 @@ def test_an_empty_battery_does_what_a_parameter_says(action, mode, station):
     assert (battery.battery_remaining, battery.charge_state) == (0, 5)
 
 
+def test_an_empty_battery_prevents_arming(station):
+    set_parameter(station, "SYS_FAILURE_EN", 1)
+    assert station.command(420, BATTERY, 1, 0)[0] == ACCEPTED
+    result, more = station.command(400, 1)
+    assert (result, texts(more)) == (REJECTED, ["arming denied: battery is empty"])
+    assert not station.pilot.is_armed
+    assert station.command(420, BATTERY, 0, 0)[0] == ACCEPTED
+    assert station.command(400, 1)[0] == ACCEPTED
+
+
 # Sensors, calibration, shell
 
 
