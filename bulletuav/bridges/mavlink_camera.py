@@ -5,6 +5,7 @@ Source: https://mavlink.io/en/services/camera.html.
 
 import logging
 import math
+import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -33,7 +34,9 @@ PICTURE_SIZE, VERTICAL_FOV = (640, 480), 60.0
 SENSOR_WIDTH = 6.4
 """Width of the reported sensor, mm"""
 MIN_INTERVAL, MAX_PICTURES = 0.5, 1000
-"""Minimum interval of pictures, s, and maximum number of pictures of a vehicle"""
+"""Minimum interval of pictures, s, and maximum number of pictures of a vehicle since the start"""
+PICTURE_NAME = re.compile(r"vehicle([0-9]+)_([0-9]+)\.png")
+"""Name of a file: system ID of the vehicle, and number of the picture"""
 PICTURE_MIB = PICTURE_SIZE[0] * PICTURE_SIZE[1] * 3 / 2**20
 """Maximum size of a picture, MiB"""
 HEARTBEAT_STEPS = 100
@@ -53,7 +56,7 @@ class Camera:
     """Camera of one vehicle, a component of its own.
 
     Attributes:
-        count: Number of pictures.
+        count: Number of pictures since the start.
     """
 
     def __init__(
@@ -62,13 +65,16 @@ class Camera:
         """Initialise without pictures.
 
         Args:
-            folder: Folder of the files.
+            folder: Folder of the files. Numbers of files continue those of earlier pictures there.
             system_id: System ID of the vehicle.
             take: Function that returns pixels (H, W, 3) uint8, and latitude (deg), longitude,
                 altitude (m), height above home and the attitude w, x, y, z of the camera.
         """
         self._folder, self._system_id, self._take = folder, system_id, take
         self.count = 0
+        names = (PICTURE_NAME.fullmatch(path.name) for path in folder.iterdir())
+        numbers = [int(name[2]) for name in names if name and int(name[1]) == system_id]
+        self._first_number = max(numbers, default=-1) + 1
         self._interval_steps, self._remaining, self._next_tick = 0, 0, 0
         self._captured: list[tuple[Any, ...]] = []
         self._time_ms = 0
@@ -135,7 +141,7 @@ class Camera:
     def _capture(self) -> None:
         """Take a picture and write its file."""
         pixels, location = self._take()
-        name = f"vehicle{self._system_id}_{self.count:04d}.png"
+        name = f"vehicle{self._system_id}_{self._first_number + self.count:04d}.png"
         with whole_file(self._folder / name) as file:
             Image.fromarray(pixels).save(file, "PNG")
         latitude, longitude, altitude, height, *attitude = location

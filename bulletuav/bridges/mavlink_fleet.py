@@ -64,7 +64,8 @@ class MavlinkFleet:
             drones: Number of vehicles, in rows 2 m apart; or their positions, (N, 2), m.
             airframe: Airframe of all vehicles.
             home: Latitude, longitude (degrees) and altitude (m) of the airspace's origin.
-            pictures: Folder for the pictures of cameras; None for vehicles without cameras.
+            pictures: Folder for the pictures of cameras, whose numbers continue those of earlier
+                pictures there; None for vehicles without cameras.
             **options: Further options of `Airspace`, such as wind or obstacles.
 
         Raises:

@@ -536,6 +536,19 @@ def test_pictures_are_taken_at_an_interval_until_they_are_stopped(camera, tmp_pa
         assert command(2000, 0, *fields)[0] == DENIED
 
 
+def test_pictures_of_earlier_starts_are_kept(make_vehicles, tmp_path):
+    names = ["vehicle1_0007.png", "vehicle2_0020.png", "vehicle1_0030.txt", "vehicle1_.png"]
+    for name in names:
+        (tmp_path / name).write_text("earlier")
+    station = Station(make_vehicles(1, pictures=tmp_path))
+    for number in (8, 9):
+        station.send("command_long", 1, CAMERA, 2000, 0, 0, 0, 1, 0, 0, 0, 0)
+        (told,) = messages(station.fly(0.1), "CAMERA_IMAGE_CAPTURED")
+        assert (told.image_index, told.file_url) == (number - 8, f"vehicle1_{number:04d}.png")
+        assert np.asarray(Image.open(tmp_path / told.file_url)).shape == (480, 640, 3)
+    assert [(tmp_path / name).read_text() for name in names] == ["earlier"] * 4
+
+
 def test_a_picture_that_cannot_be_written_is_reported(camera, tmp_path):
     station, command = camera
     tmp_path.rmdir()
