@@ -61,9 +61,9 @@ class CrazyflieServer(DatagramServer):
         host: str = "127.0.0.1",
         port: int = PORT,
         speed: float = 1.0,
-        quality: LinkQuality = IDEAL,
         limits: ConnectionLimits = LIMITS,
         clock: Clock = time.monotonic,
+        quality: LinkQuality = IDEAL,
     ) -> None:
         """Open the ports; clients are answered once `run` is called.
 
@@ -72,9 +72,9 @@ class CrazyflieServer(DatagramServer):
             host: Address to listen at. Anybody who can reach it can fly the drones.
             port: Port of the first drone; 0 for free ports.
             speed: Simulated seconds per second of real time.
-            quality: Losses and delay of the packets.
             limits: Limits of each drone's client.
             clock: Function that returns the time by which clients are silent, s.
+            quality: Losses and delay of the packets.
 
         Raises:
             ValueError: If the port, the speed, the losses or the delay are invalid.

@@ -55,9 +55,9 @@ class MavlinkServer(DatagramServer):
         port: int = PORT,
         speed: float = 1.0,
         client_port: int | None = CLIENT_PORT,
-        quality: LinkQuality = IDEAL,
         limits: ConnectionLimits = LIMITS,
         clock: Clock = time.monotonic,
+        quality: LinkQuality = IDEAL,
     ) -> None:
         """Open the ports; clients are answered once `run` is called.
 
@@ -68,9 +68,9 @@ class MavlinkServer(DatagramServer):
             speed: Simulated seconds per second of real time.
             client_port: Port at the same address to which the first vehicle sends unasked. Further
                 vehicles send to the following ports. None for no such ports.
-            quality: Losses and delay of the datagrams.
             limits: Limits of the clients of each vehicle.
             clock: Function that returns the time by which clients are idle, s.
+            quality: Losses and delay of the datagrams.
 
         Raises:
             ValueError: If a port, the speed, the losses or the delay are invalid.

@@ -114,7 +114,7 @@ def _serve_crazyflie(arguments: argparse.Namespace) -> None:
     _serve(
         fleet,
         lambda: crazyflie.CrazyflieServer(
-            fleet, *_address(arguments, crazyflie.PORT), _quality(arguments)
+            fleet, *_address(arguments, crazyflie.PORT), quality=_quality(arguments)
         ),
         lambda server: (
             f"{len(fleet)} drones at {_format_addresses(arguments.host, server.ports, 'udp://')}"
@@ -156,7 +156,7 @@ def _serve_mavlink(arguments: argparse.Namespace) -> None:
     _serve(
         fleet,
         lambda: mavlink.MavlinkServer(
-            fleet, *_address(arguments, mavlink.PORT), clients, _quality(arguments)
+            fleet, *_address(arguments, mavlink.PORT), clients, quality=_quality(arguments)
         ),
         lambda server: (
             f"{len(fleet)} vehicles at {_format_addresses(arguments.host, server.ports)}; "

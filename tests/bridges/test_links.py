@@ -12,6 +12,7 @@ from bulletuav.bridges.links import MAX_WAITING, LinkQuality, LossyLink
 from bulletuav.bridges.mavlink import MavlinkServer
 from bulletuav.bridges.sockets import MAX_UNDELIVERED
 from bulletuav.cli import main
+from bulletuav.serving.connections import ConnectionLimits
 
 PERIOD = 0.01
 HERE = ("127.0.0.1", 1)
@@ -64,6 +65,14 @@ def test_qualities_that_cannot_be_are_refused(quality, said, make_fleet, make_ve
         CrazyflieServer(make_fleet(1), port=0, quality=quality)
     with pytest.raises(ValueError, match=said):
         MavlinkServer(make_vehicles(1), port=0, speed=10, client_port=None, quality=quality)
+
+
+def test_positional_limits_of_earlier_programs_are_limits(make_fleet, make_vehicles):
+    limits = ConnectionLimits(max_clients=2)
+    CrazyflieServer(make_fleet(1), "127.0.0.1", 0, 1.0, limits, time.monotonic).close()
+    server = MavlinkServer(make_vehicles(1), "127.0.0.1", 0, 1.0, None, limits, time.monotonic)
+    server.close()
+    assert server.connections[0].limits.max_clients == 2
 
 
 def test_answers_come_after_both_delays(make_fleet, keep_running):
