@@ -163,7 +163,7 @@ def _orbit(
 def _inject_failure(
     vehicle: MavlinkVehicle, streams: TelemetryRates, request: CommandRequest
 ) -> Sequence[OutgoingMessage]:
-    """Let a unit fail, or repair it."""
+    """Inject or clear a failure."""
     unit, kind = request.get_int(1), request.get_int(2)
     instance = 0 if math.isnan(request.params[2]) else request.get_int(3)
     vehicle.pilot.inject_failure(unit, kind, instance)
@@ -173,7 +173,7 @@ def _inject_failure(
 def _look_at(
     vehicle: MavlinkVehicle, streams: TelemetryRates, request: CommandRequest
 ) -> Sequence[OutgoingMessage]:
-    """Let the gimbal look at a position."""
+    """Point the gimbal at a position."""
     if not math.isfinite(sum(request.params[4:])):
         raise RefusedError("region of interest: a position is needed")
     vehicle.gimbal.look_at(_read_position(vehicle, request))
@@ -183,7 +183,7 @@ def _look_at(
 def _look_forward(
     vehicle: MavlinkVehicle, streams: TelemetryRates, request: CommandRequest
 ) -> Sequence[OutgoingMessage]:
-    """Let the gimbal look forward."""
+    """Point the gimbal forward."""
     vehicle.gimbal.look_at(None)
     return ()
 

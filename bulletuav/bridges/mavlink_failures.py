@@ -41,7 +41,7 @@ class Failures:
         self._effectiveness = [1.0] * len(airframe.rotors)
 
     def inject(self, unit: int, kind: int, instance: int) -> None:
-        """Let a unit fail, or repair it.
+        """Inject or clear a failure.
 
         Args:
             unit: `GPS`, `BATTERY` or `MOTOR`.

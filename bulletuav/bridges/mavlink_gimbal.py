@@ -42,7 +42,7 @@ class Gimbal:
         self._time = 0.0
 
     def configure(self, numbers: list[int], sender: tuple[int, int]) -> None:
-        """Set who controls the gimbal.
+        """Set the controlling systems.
 
         Args:
             numbers: System and component of the primary and of the secondary control, or

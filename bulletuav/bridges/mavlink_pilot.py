@@ -164,7 +164,7 @@ class Pilot:
         self.enter_mode(mode)
 
     def inject_failure(self, unit: int, kind: int, instance: int) -> None:
-        """Let a unit fail, or repair it, and react to the failure; see `Failures.inject`.
+        """Inject or clear a failure, and react to it; see `Failures.inject`.
 
         Without a position the vehicle lands; with an empty battery it does what COM_LOW_BAT_ACT
         requires.
