@@ -210,7 +210,7 @@ class AirsimServer:
         """Record a row of each vehicle; end the recording if this is impossible."""
         try:
             await self._recorder.record(self._pictures)
-        except (DrawingError, OSError) as error:
+        except (DrawingError, OSError, ValueError) as error:
             self._recorder.stop()
             logging.getLogger(LOG_NAME).warning("the recording ended: %s", error)
 

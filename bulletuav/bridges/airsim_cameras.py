@@ -138,8 +138,9 @@ def find_camera(cameras: Mapping[str, Camera], name: str) -> Camera:
     Raises:
         ValueError: If there is no such camera.
     """
-    plain = name.replace("-", "_")
-    found = cameras.get(CAMERA_NUMBERS.get(plain, plain))
+    # Names of external cameras are those of the file, and may be numbers
+    plain = name if name in cameras else name.replace("-", "_")
+    found = cameras.get(plain, cameras.get(CAMERA_NUMBERS.get(plain, plain)))
     if found is None:
         if not cameras:
             raise ValueError(

@@ -409,7 +409,7 @@ def _read_vehicle(
 
 
 def _read_camera(part: _Section, defaults: CameraSettings) -> CameraSettings:
-    """Return the settings of a camera; what it does not set is that of the defaults."""
+    """Return the settings of a camera, with the defaults for the values that it does not set."""
     position = tuple(
         part.number(key, default, -MAX_DISTANCE, MAX_DISTANCE)
         for key, default in zip(("X", "Y", "Z"), defaults.position, strict=True)
@@ -430,7 +430,7 @@ def _read_camera(part: _Section, defaults: CameraSettings) -> CameraSettings:
                 f"are possible"
             )
         view = math.radians(one.number("FOV_Degrees", math.degrees(view), 5.0, 170.0))
-        # Type -1 is the window of the program, which there is none of
+        # Type -1 is the window of AirSim's program, which this server does not have
         if kind >= 0:
             captures[kind] = Capture((width, height), view)
         one.close()

@@ -2,6 +2,7 @@
 
 import functools
 import math
+import re
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
@@ -29,7 +30,9 @@ SPACING = 2.0
 MIN_COLLISION_SPEED = 1.0
 """Minimum impact speed at which ground contact counts as a collision, m/s"""
 MAX_VEHICLES, MAX_NAME = 256, 64
-"""Maximum number of vehicles, and maximum length of the name of an added one"""
+"""Maximum number of vehicles, and maximum length of their names"""
+OBJECT_NAMES = re.compile(r"Ground|Building|Obstacle\d+")
+"""Names of objects of the scene, which vehicles cannot have"""
 CLEARANCE = 100.0
 """Height above all others at which a new vehicle is created before it is placed, m"""
 LABEL_COLOURS = np.array(
@@ -80,7 +83,8 @@ class AirsimWorld:
                 the settings, or of AirSim's worlds.
             lidar: Whether vehicles carry a lidar with 180 beams.
             settings: Settings of a file, see `read_settings`. Vehicles of the settings replace
-                `drones` and `places`.
+                `drones` and `places`; `home` and `wind` override the origin and wind of the
+                settings.
             **options: Other options of `Airspace`, such as obstacles, a layout, sensors or wind.
 
         Raises:
@@ -97,13 +101,13 @@ class AirsimWorld:
         self.vehicles = {name: self._make_vehicle(name, one) for name, one in vehicles.items()}
         self.segmentation_ids, self.label_colours = [-1] * len(LABEL_COLOURS), LABEL_COLOURS
         self.external_cameras = make_external_cameras(settings.external_cameras)
-        # Options of the caller override the defaults
+        # Options of the caller override the defaults and the settings
         wind = {} if settings.wind is None else {"wind": tuple(ned_to_enu(settings.wind).tolist())}
         self._options = {
             "physics_hz": PHYSICS_HZ,
             "decision_hz": DECISION_HZ,
-            **options,
             **wind,
+            **options,
         }
         self.airspace = make_airspace(self._starts, self._airframe, **self._options)
         self.origin = Origin(*as_sequence("home", home or settings.origin or HOME, 3))
@@ -361,6 +365,10 @@ class AirsimWorld:
 
 def check_new_name(name: str, names: Collection[str]) -> None:
     """Raise ValueError if a new vehicle cannot have a name."""
+    if OBJECT_NAMES.fullmatch(name):
+        raise ValueError(
+            f"vehicle_name is {shown(name)}, the name of another object: choose another name"
+        )
     if not 0 < len(name) <= MAX_NAME or not name.isprintable() or name in names:
         raise ValueError(
             f"vehicle_name is {shown(name)}: a new name of 1 to {MAX_NAME} printable letters is "
@@ -390,8 +398,14 @@ def _place_beside(airspace: Airspace, i: int, vehicle: AirsimVehicle) -> None:
 def _list_vehicles(
     drones: int | Sequence[str], places: Any, settings: AirsimSettings
 ) -> Mapping[str, VehicleSettings]:
-    """Return the settings of the vehicles by name."""
+    """Return the settings of the vehicles by name.
+
+    Raises:
+        ValueError: If a name, a number or a place is invalid.
+    """
     if settings.vehicles is not None:
+        for name in settings.vehicles:
+            check_new_name(name, ())
         if drones != 1 or places is not None:
             raise ValueError(
                 f"drones is {shown(drones)} and places are {shown(places)}, but the settings list "
@@ -419,6 +433,8 @@ def _make_names(drones: int | Sequence[str]) -> tuple[str, ...]:
         raise ValueError(
             f"drones is {shown(drones)}: a number of vehicles, or their names, is needed"
         )
+    for name in names:
+        check_new_name(name, ())
     if len(set(names)) < len(names):
         raise ValueError(f"drones is {shown(drones)}: names must be unique")
     return names

@@ -20,9 +20,10 @@ import pytest
 from PIL import Image
 from waiting import PATIENCE, until
 
-from bulletuav.bridges import airsim, airsim_drawing
+from bulletuav.bridges import airsim, airsim_drawing, airsim_recording
 from bulletuav.bridges.airsim import AirsimServer, TurnScheduler
-from bulletuav.bridges.airsim_settings import parse_settings
+from bulletuav.bridges.airsim_recording import AirsimRecorder
+from bulletuav.bridges.airsim_settings import VehicleSettings, parse_settings
 from bulletuav.bridges.airsim_world import AirsimWorld
 from bulletuav.cli import main
 from bulletuav.serving.connections import ConnectionLimits
@@ -912,7 +913,7 @@ def test_clients_record_states_and_images(serve, connect, tmp_path):
     assert min(b - a for a, b in itertools.pairwise(times)) >= 100
     assert float(rows[-1]["POS_Z"]) < -2 < -0.5 < float(rows[0]["POS_Z"])
     depth, scene = rows[-1]["ImageFile"].split(";")
-    assert depth.startswith("img_.._Ann_0_1_")
+    assert depth.startswith("img_0_0_.._Ann_0_1_")
     content = (path.parent / "images" / depth).read_bytes()
     assert content.startswith(b"Pf\n32 16\n-1\n")
     assert len(content) == len(b"Pf\n32 16\n-1\n") + 4 * 32 * 16
@@ -938,6 +939,111 @@ def test_a_recording_can_start_with_the_server_and_skip_still_rows(serve, tmp_pa
     rows, _ = recorded(tmp_path)
     assert 1 <= len(rows) < 20
     assert rows[0]["ImageFile"] == ""
+
+
+def make_recorder(folder, values):
+    """A recorder of a world with these settings, and the pictures that it needs."""
+    small = {"CaptureSettings": [{"ImageType": 0, "Width": 16, "Height": 16}]}
+    world = AirsimWorld(settings=parse_settings({"CameraDefaults": small, **values}))
+    return AirsimRecorder(world, folder), Pictures(world)
+
+
+class Pictures:
+    """Queue that answers without rendering, and calls a function before each answer."""
+
+    def __init__(self, world):
+        self.world, self.before, self.num_calls = world, lambda: None, 0
+
+    async def draw(self, call):
+        self.num_calls += 1
+        self.before()
+        image = {"width": 1, "height": 1, "pixels_as_float": False, "compress": True}
+        image |= {"image_data_uint8": b"%d" % self.num_calls, "time_stamp": 7}
+        return [msgpack.packb([image])]
+
+
+def test_a_default_name_of_a_recorded_vehicle_stays_valid_when_another_is_added(tmp_path):
+    values = {"Vehicles": {"Ann": {}}, "Recording": {"Cameras": [{"VehicleName": "SimpleFlight"}]}}
+    recorder, pictures = make_recorder(tmp_path, values)
+    recorder.start()
+    pictures.world.add_vehicle("Bob", VehicleSettings())
+    asyncio.run(recorder.record(pictures))
+    recorder.stop()
+    rows, _ = recorded(tmp_path)
+    assert [(row["VehicleName"], row["ImageFile"] != "") for row in rows] == [
+        ("Ann", True),
+        ("Bob", False),
+    ]
+    pictures.world.close()
+
+
+def test_images_of_similar_names_have_files_of_their_own(tmp_path):
+    camera = {"CaptureSettings": [{"ImageType": 0, "Width": 16, "Height": 16}]}
+    values = {
+        "Vehicles": {"a b": {"Cameras": {"c d": camera, "c_d": camera}}, "a_b": {"X": 2}},
+        "Recording": {
+            "Cameras": [
+                {"VehicleName": "a b", "CameraName": "c d"},
+                {"VehicleName": "a b", "CameraName": "c_d"},
+                {"VehicleName": "a_b"},
+            ]
+        },
+    }
+    recorder, pictures = make_recorder(tmp_path, values)
+    recorder.start()
+    asyncio.run(recorder.record(pictures))
+    recorder.stop()
+    rows, path = recorded(tmp_path)
+    names = [name for row in rows for name in row["ImageFile"].split(";")]
+    contents = [(path.parent / "images" / name).read_bytes() for name in names]
+    assert contents == [b"1", b"2", b"3"]
+    pictures.world.close()
+
+
+def test_rows_of_a_stopped_recording_are_not_written_into_the_next(tmp_path):
+    cameras = [{"CameraName": "0"}, {"CameraName": "1"}]
+    recorder, pictures = make_recorder(tmp_path, {"Recording": {"Cameras": cameras}})
+
+    def restart():
+        recorder.stop()
+        recorder.start()
+        pictures.before = lambda: None
+
+    recorder.start()
+    pictures.before = restart
+    asyncio.run(recorder.record(pictures))
+    assert recorder.is_recording
+    recorder.stop()
+    first, second = sorted(tmp_path.iterdir(), key=lambda path: (len(path.name), path.name))
+    assert [len((one / "airsim_rec.txt").read_text().splitlines()) for one in (first, second)] == [
+        1,
+        1,
+    ]
+    assert list((second / "images").iterdir()) == []
+    pictures.world.close()
+
+
+def test_recordings_are_limited_in_number(tmp_path, monkeypatch):
+    monkeypatch.setattr(airsim_recording, "MAX_RECORDINGS", 2)
+    recorder, pictures = make_recorder(tmp_path, {})
+    for _ in range(2):
+        recorder.start()
+        recorder.stop()
+    with pytest.raises(ValueError, match="started 2 recordings, which is the maximum: restart"):
+        recorder.start()
+    assert not recorder.is_recording
+    assert len(list(tmp_path.iterdir())) == 2
+    pictures.world.close()
+
+
+def test_a_camera_that_cannot_be_recorded_any_more_ends_the_recording(serve, tmp_path, caplog):
+    settings = parse_settings({"Recording": {"Cameras": [{"CameraName": "1"}]}})
+    server = serve(settings=settings, recordings=tmp_path)
+    server.world.vehicle("")[1].cameras.pop("front_right")
+    with caplog.at_level(logging.WARNING):
+        server._recorder.start()
+        until(lambda: not server._recorder.is_recording)
+    assert sum("the recording ended: " in record.getMessage() for record in caplog.records) == 1
 
 
 @pytest.mark.parametrize(

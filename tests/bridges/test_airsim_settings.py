@@ -7,7 +7,12 @@ import numpy as np
 import pytest
 
 from bulletuav.bridges.airsim_calls import AirsimCalls
-from bulletuav.bridges.airsim_settings import AirsimSettings, parse_settings, read_settings
+from bulletuav.bridges.airsim_settings import (
+    AirsimSettings,
+    VehicleSettings,
+    parse_settings,
+    read_settings,
+)
 from bulletuav.bridges.airsim_world import AirsimWorld
 from bulletuav.cli import main
 from bulletuav.geometry.obstacle import Obstacle
@@ -189,6 +194,55 @@ def test_cameras_in_the_world_see_the_vehicle():
     assert image["camera_position"]["x_val"] == pytest.approx(5)
     with pytest.raises(ValueError, match="unknown camera 'Watch'"):
         call("simGetImage", ["Watch", 0, "", False])
+    world.close()
+
+
+def test_cameras_in_the_world_have_any_names():
+    names = ["cam-1", "cam_2", "0", "front-center"]
+    cameras = {name: {"X": k + 1} for k, name in enumerate(names)}
+    world = AirsimWorld(settings=parse_settings({"ExternalCameras": cameras}))
+    call = AirsimCalls(world).call
+
+    def north(name):
+        return call("simGetCameraInfo", [name, "", True])["pose"]["position"]["x_val"]
+
+    assert [north(name) for name in names] == pytest.approx([1, 2, 3, 4])
+    assert north("cam-2") == pytest.approx(2)
+    with pytest.raises(ValueError, match="unknown camera '1'"):
+        north("1")
+    world.close()
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("ev\til\n\x1b[31m", r"'ev\\til\\n\\x1b\[31m': a new name of 1 to 64 printable letters"),
+        ("a" * 65, "a new name of 1 to 64 printable letters"),
+        ("Ground", "'Ground', the name of another object"),
+        ("Building", "'Building', the name of another object"),
+        ("Obstacle0", "'Obstacle0', the name of another object"),
+    ],
+)
+def test_names_of_vehicles_are_checked(name, message):
+    with pytest.raises(ValueError, match=message):
+        AirsimWorld(settings=parse_settings({"Vehicles": {name: {}}}))
+    with pytest.raises(ValueError, match=message):
+        AirsimWorld([name])
+    world = AirsimWorld()
+    with pytest.raises(ValueError, match=message):
+        world.add_vehicle(name, VehicleSettings())
+    world.close()
+
+
+def test_options_override_the_settings():
+    place = {"Latitude": 47.4, "Longitude": 8.5, "Altitude": 500}
+    settings = parse_settings({"Wind": {"X": 1}, "OriginGeopoint": place})
+    world = AirsimWorld(settings=settings)
+    assert world.airspace.world.wind.steady[0] == pytest.approx((0, 1, 0))
+    world.close()
+    world = AirsimWorld(settings=settings, wind=(5, 0, 0), home=(1, 2, 3))
+    assert world.airspace.world.wind.steady[0] == pytest.approx((5, 0, 0))
+    assert world.origin.latitude == 1
     world.close()
 
 
