@@ -42,6 +42,8 @@ START_LIMIT = 900.0
 """Time that a server may take to start, which includes compilation, s"""
 PROGRAMS = {"bulletuav": [sys.executable, "-m", "bulletuav"], "python": [sys.executable]}
 """Commands of servers by the first word"""
+TIMED_OUT = "it did not end in"
+"""Start of the problem of an example that was stopped at its time limit"""
 RUNS, BY_DESIGN, OWN_FAULT, FAILS = "runs", "by design not", "its own fault", "fails"
 LAUNCHER = "import runpy, sys\n{}\nrunpy.run_path(sys.argv[0], run_name='__main__')"
 """Program that executes statements before an example"""
@@ -64,7 +66,9 @@ class Example:
         limit: Time limit, s.
         endless: Whether the example never ends: it then runs if it still does at the time limit.
         expect: Text that the example prints if it succeeds.
-        shows: Text that the example prints if it fails for the known reason.
+        shows: Text that the example or its server prints if it fails for the known reason. An entry
+            with a known reason has this text, `hangs`, or both.
+        hangs: Whether it does not end in its time limit for the known reason.
         by_design: Why it cannot run with this package.
         own_fault: Why it cannot run anywhere.
         note: Remark for the page.
@@ -80,9 +84,24 @@ class Example:
     endless: bool = False
     expect: str = ""
     shows: str = ""
+    hangs: bool = False
     by_design: str = ""
     own_fault: str = ""
     note: str = ""
+
+    def __post_init__(self) -> None:
+        """Raise ValueError if any failure, or none, would be the known reason."""
+        if self.reason and not self.shows and not self.hangs:
+            raise ValueError("by_design and own_fault need shows, or hangs for the time limit")
+        if not self.reason and (self.shows or self.hangs):
+            raise ValueError("shows and hangs have no effect without by_design or own_fault")
+        if self.hangs and self.endless:
+            raise ValueError("hangs and endless are given: leave one out")
+
+    @property
+    def reason(self) -> str:
+        """Known reason why it does not run; empty if it runs."""
+        return self.by_design or self.own_fault
 
 
 @dataclass(frozen=True)
@@ -150,13 +169,16 @@ class Outcome:
 
 
 def make(kind: type, values: Any, where: str) -> Any:
-    """Create an entry of a table; raise ValueError for a name that it does not have."""
+    """Create an entry of a table; raise ValueError with its place if its values are invalid."""
     known = {one.name for one in fields(kind)}
     if unknown := sorted(set(values) - known):
         raise ValueError(
             f"{where} has {', '.join(unknown)}: choose from {', '.join(sorted(known))}"
         )
-    return kind(**values)
+    try:
+        return kind(**values)
+    except ValueError as error:
+        raise ValueError(f"{where}: {error}") from None
 
 
 def read_table(path: Path) -> Table:
@@ -296,7 +318,7 @@ def find_problem(
         everything: What it and the server printed.
     """
     if code is None and not example.endless:
-        return f"it did not end in {example.limit:g} s"
+        return f"{TIMED_OUT} {example.limit:g} s"
     for line in everything.splitlines():
         if any(re.search(pattern, line) for pattern in table.forbid):
             is_traceback = line.startswith("Traceback")
@@ -310,7 +332,7 @@ def find_problem(
 
 def judge(name: str, example: Example, seconds: float, problem: str, text: str) -> Outcome:
     """Compare the problem of an example, or an empty text, with its entry."""
-    reason = example.by_design or example.own_fault
+    reason = example.reason
     if not problem:
         stopped = "it has no end; stopped" if example.endless else ""
         before = (
@@ -319,7 +341,8 @@ def judge(name: str, example: Example, seconds: float, problem: str, text: str) 
         words = "; ".join(filter(None, (example.note, stopped, before)))
         remark = f"the table says: {reason}" if reason else words
         return Outcome(name, RUNS, seconds, remark, not reason)
-    if reason and example.shows in text:
+    is_known = example.shows in text and (not example.hangs or problem.startswith(TIMED_OUT))
+    if reason and is_known:
         kind = BY_DESIGN if example.by_design else OWN_FAULT
         return Outcome(name, kind, seconds, reason, True)
     return Outcome(name, FAILS, seconds, problem, False)

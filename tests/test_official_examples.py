@@ -82,10 +82,14 @@ def test_examples_get_arguments_variables_and_keys(run):
         ("print('a')", {"expect": "b"}, "it did not print 'b'"),
         ("while True: pass", {"limit": 0.3}, "it did not end in 0.3 s"),
         ("print('a')", {"endless": True}, "it ended"),
-        ("print('a')", {"own_fault": "it is old"}, "the table says: it is old"),
+        ("print('a')", {"own_fault": "it is old", "shows": "x"}, "the table says: it is old"),
+        ("print('x')", {"by_design": "no end", "hangs": True}, "the table says: no end"),
+        ("raise ValueError('why')", {"by_design": "no end", "hangs": True}, "ValueError: why"),
+        ("while True: pass",
+         {"own_fault": "old", "shows": "x", "hangs": True, "limit": 0.3}, "did not end in 0.3 s"),
         ("int('x')", {"by_design": "no b", "shows": "KeyError"}, "ValueError"),
     ],
-)
+)  # fmt: skip
 def test_what_the_table_does_not_expect_fails(program, entry, remark, run, capsys):
     code, page = run({"one.py": program}, {"one.py": entry})
     assert code == 1
@@ -101,7 +105,8 @@ def test_what_the_table_does_not_expect_fails(program, entry, remark, run, capsy
         ("print(seen)", {"before": "import builtins\nbuiltins.seen = 'x'", "expect": "x"}, "runs"),
         ("import pathlib; print(pathlib.Path('f').read_text())",
          {"files": {"f": {"a": 1}}, "expect": '{"a": 1}'}, "runs"),
-        ("import time; time.sleep(60)", {"by_design": "no end", "limit": 0.3}, "by design not"),
+        ("import time; time.sleep(60)",
+         {"by_design": "no end", "hangs": True, "limit": 0.3}, "by design not"),
     ],
 )  # fmt: skip
 def test_what_the_table_expects_passes(program, entry, result, run):
@@ -124,6 +129,21 @@ def test_a_table_lists_files_that_exist_and_known_entries(run):
         run({"one.py": ""}, {"other.py": {}})
     with pytest.raises(ValueError, match=r"one\.py has limits: choose from .*limit"):
         run({"one.py": ""}, {"one.py": {"limits": 3}})
+
+
+@pytest.mark.parametrize(
+    ("entry", "message"),
+    [
+        ({"by_design": "no b"}, r"one\.py: by_design and own_fault need shows, or hangs"),
+        ({"own_fault": "old"}, r"one\.py: by_design and own_fault need shows, or hangs"),
+        ({"shows": "x"}, r"one\.py: shows and hangs have no effect without by_design"),
+        ({"hangs": True}, r"one\.py: shows and hangs have no effect without by_design"),
+        ({"own_fault": "old", "hangs": True, "endless": True}, "hangs and endless are given"),
+    ],
+)
+def test_a_known_reason_has_evidence(entry, message, run):
+    with pytest.raises(ValueError, match=message):
+        run({"one.py": ""}, {"one.py": entry})
 
 
 def test_a_table_can_add_to_another(suite, tmp_path):
