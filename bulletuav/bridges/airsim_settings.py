@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bulletuav.bridges.airsim_values import check_flag, check_text, rotation_from_degrees
-from bulletuav.errors import as_int, as_sequence, finite, naming, printable_text, shown, unknown
+from bulletuav.errors import as_int, as_sequence, finite, naming, shown, unknown
 from bulletuav.geometry.rotation import Quat4
 from bulletuav.parsing import read_json
 
@@ -194,8 +194,9 @@ class _Section:
         self._values, self._where, self._ignored = dict(values), where, ignored
 
     def name(self, key: str) -> str:
-        """Return the name of a key in messages."""
-        return f"{self._where}.{key}" if self._where else key
+        """Return the name of a key in messages, with control characters escaped."""
+        escaped = shown(key)[1:-1]
+        return f"{self._where}.{escaped}" if self._where else escaped
 
     def pop(self, key: str, default: Any = None) -> Any:
         """Return a value, and record that its key is read."""
@@ -322,7 +323,7 @@ def parse_settings(values: Any, text: str = "{}") -> AirsimSettings:
 
 def list_ignored(keys: Sequence[str]) -> str:
     """Return the ignored keys of a file, for a message."""
-    names = [printable_text(shown(key)[1:-1]) for key in dict.fromkeys(keys)]
+    names = list(dict.fromkeys(keys))
     more = len(names) - MAX_LISTED
     return ", ".join(names[:MAX_LISTED]) + (f" and {more} more" if more > 0 else "")
 
@@ -455,7 +456,7 @@ def _read_sensors(
             if is_enabled:
                 sensors[name] = sensor
         elif kind not in EVERY_VEHICLE:
-            part._ignored.append(f"{part.name(key)}.{name} (SensorType {kind})")
+            part._ignored.append(f"{one._where} (SensorType {kind})")
             continue
         elif not is_enabled:
             part._ignored.append(one.name("Enabled"))

@@ -10,6 +10,7 @@ from bulletuav.bridges.airsim_calls import AirsimCalls
 from bulletuav.bridges.airsim_settings import (
     AirsimSettings,
     VehicleSettings,
+    list_ignored,
     parse_settings,
     read_settings,
 )
@@ -106,6 +107,14 @@ def test_vehicles_are_armed_at_the_start_and_after_a_reset(state, is_armed):
     world.reset()
     assert vehicle.is_armed is is_armed
     world.close()
+
+
+def test_ignored_keys_are_listed_without_control_characters():
+    sensors = {"s\x1b": {"SensorType": 9}}
+    settings = parse_settings({"DefaultSensors": sensors, "Vehicles": {"a": {"q\n": 1}}})
+    assert list_ignored(settings.ignored) == (
+        r"DefaultSensors.s\x1b (SensorType 9), Vehicles.a.q\n"
+    )
 
 
 def test_an_empty_file_changes_nothing():
@@ -253,6 +262,7 @@ def test_options_override_the_settings():
         ({"Vehicles": []}, "Vehicles is .*: an object is needed"),
         ({"Vehicles": {"a": {"VehicleType": "PhysXCar"}}}, "Vehicles.a.VehicleType 'PhysXCar'"),
         ({"Vehicles": {"a": {"X": "1"}}}, "Vehicles.a.X is '1'"),
+        ({"Vehicles": {"a\x1b": {"X": "1"}}}, r"Vehicles.a\\x1b.X is '1'"),
         ({"Vehicles": {"a": {"X": 1e300}}}, "Vehicles.a.X is 1e.300"),
         ({"Vehicles": {"a": {"DefaultVehicleState": "x"}}}, "a.DefaultVehicleState 'x'"),
         ({"Vehicles": {"": {}}}, "Vehicles has an entry without a name"),
