@@ -45,6 +45,7 @@ from bulletuav.policies.run import (
     ALGORITHMS,
     CHECKPOINTS,
     CONFIG,
+    CURVE,
     POLICY,
     RunConfig,
     read_settings,
@@ -53,7 +54,7 @@ from bulletuav.policies.run import (
 from bulletuav.report.verification import ROW, ROW_POLICY
 from bulletuav.tasks import find_task
 from bulletuav.training.campaign import training_processes
-from bulletuav.training.store import CURVE, EVALUATION_SEED
+from bulletuav.training.store import EVALUATION_SEED
 from bulletuav.training.trainer import train
 
 HERE = Path(__file__).parent

@@ -17,10 +17,9 @@ from bulletuav.envs.gymnasium import environment_id
 from bulletuav.errors import shown
 from bulletuav.files import replace_file
 from bulletuav.policies.find import config_file, read_run_config
-from bulletuav.policies.run import CONFIG, POLICY, SHIPPED, RunConfig, plain_value
+from bulletuav.policies.run import CONFIG, CURVE, POLICY, SHIPPED, RunConfig, plain_value
 from bulletuav.policies.scores import read_scores
 from bulletuav.tasks import find_task, list_tasks
-from bulletuav.training.store import CURVE
 from bulletuav.version import REPOSITORY, __version__
 
 CARD = "README.md"

@@ -6,14 +6,12 @@ The server is set by `MLFLOW_TRACKING_URI`, such as http://localhost:5000.
 import contextlib
 import math
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
 from bulletuav.errors import missing_extra
 from bulletuav.files import replace_file
 from bulletuav.policies.run import RunConfig
-from bulletuav.training.store import evaluation_conditions, training_conditions
-from bulletuav.training.trackers import Log, run_name
 
 try:
     from mlflow import MlflowClient
@@ -29,24 +27,30 @@ RUN_ID = "mlflow.txt"
 
 
 @contextlib.contextmanager
-def open_run(config: RunConfig, folder: Path) -> Iterator[Log]:
+def open_mlflow_run(
+    name: str, config: RunConfig, conditions: Mapping[str, str], folder: Path
+) -> Iterator[Callable[[Mapping[str, float], int], None]]:
     """Create a run in MLflow, or resume that of an interrupted training.
 
     At the end of the context its status is finished, killed by an interrupt, or failed.
 
     Args:
+        name: Name of the run.
         config: Settings, logged as parameters of the run.
+        conditions: Conditions of the training and its evaluations, logged as tags.
         folder: Folder of the training.
 
     Yields:
-        Function that logs finite numbers as metrics.
+        Function that logs the finite of some numbers as metrics, at a number of steps.
 
     Raises:
         RuntimeError: If MLflow cannot be reached, or rejects the run.
     """
     try:
         client = MlflowClient()
-        run = _resume_run(client, folder / RUN_ID) or _create_run(client, config, folder / RUN_ID)
+        run = _resume_run(client, folder / RUN_ID) or _create_run(
+            client, name, config, conditions, folder / RUN_ID
+        )
     except MlflowException as error:
         raise RuntimeError(
             f"MLflow rejects the run: {error.message}; see MLFLOW_TRACKING_URI"
@@ -81,19 +85,17 @@ def _resume_run(client: MlflowClient, file: Path) -> str | None:
     return run
 
 
-def _create_run(client: MlflowClient, config: RunConfig, file: Path) -> str:
+def _create_run(
+    client: MlflowClient, name: str, config: RunConfig, conditions: Mapping[str, str], file: Path
+) -> str:
     """Create a run with the settings of the training, and store its id in the file."""
     known = client.get_experiment_by_name(EXPERIMENT)
     experiment = known.experiment_id if known else client.create_experiment(EXPERIMENT)
-    run: str = client.create_run(experiment, run_name=run_name(config)).info.run_id
-    conditions = {
-        "rollout/conditions": training_conditions(config),
-        "evaluation/conditions": evaluation_conditions(config),
-    }
+    run: str = client.create_run(experiment, run_name=name).info.run_id
     client.log_batch(
         run,
         params=[Param(key, str(value)) for key, value in config.plain().items()],
-        tags=[RunTag(key, str(value)) for key, value in conditions.items()],
+        tags=[RunTag(key, value) for key, value in conditions.items()],
     )
     replace_file(file, run + "\n")
     return run

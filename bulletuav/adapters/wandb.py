@@ -8,14 +8,12 @@ import contextlib
 import math
 import os
 import secrets
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
 from bulletuav.errors import missing_extra
 from bulletuav.files import replace_file
 from bulletuav.policies.run import RunConfig
-from bulletuav.training.store import evaluation_conditions, training_conditions
-from bulletuav.training.trackers import Log, run_name
 
 try:
     import wandb
@@ -29,17 +27,21 @@ RUN_ID = "wandb.txt"
 
 
 @contextlib.contextmanager
-def open_run(config: RunConfig, folder: Path) -> Iterator[Log]:
+def open_wandb_run(
+    name: str, config: RunConfig, conditions: Mapping[str, str], folder: Path
+) -> Iterator[Callable[[Mapping[str, float], int], None]]:
     """Create a run, or resume that of an interrupted training.
 
     A run that ends by an exception is marked as failed.
 
     Args:
+        name: Name of the run.
         config: Settings, stored as those of the run.
+        conditions: Conditions of the training and its evaluations, stored with the settings.
         folder: Folder of the training, which gets a subfolder `wandb`.
 
     Yields:
-        Function that logs finite numbers.
+        Function that logs the finite of some numbers, at a number of steps.
 
     Raises:
         RuntimeError: If the run cannot be created, for example without an account.
@@ -47,14 +49,10 @@ def open_run(config: RunConfig, folder: Path) -> Iterator[Log]:
     file = folder / RUN_ID
     if not file.exists():
         replace_file(file, secrets.token_hex(4) + "\n")
-    conditions = {
-        "rollout/conditions": str(training_conditions(config)),
-        "evaluation/conditions": str(evaluation_conditions(config)),
-    }
     try:
         run = wandb.init(
             project=os.environ.get("WANDB_PROJECT", PROJECT),
-            name=run_name(config),
+            name=name,
             id=file.read_text(encoding="utf-8").strip(),
             resume="allow",
             dir=folder,

@@ -4,7 +4,7 @@ import functools
 
 import numpy as np
 
-from bulletuav.bridges.airsim_settings import LIDAR, BeamSensor, Mount
+from bulletuav.bridges.airsim_settings import LIDAR, BeamSensor, MountPose
 from bulletuav.compiled.functions import cos, sin
 from bulletuav.envs.airspace import Airspace
 from bulletuav.geometry.quaternions import rotate_vectors
@@ -12,7 +12,7 @@ from bulletuav.geometry.rotation import Quat4, product, to_world
 
 DEFAULT_LIDAR = BeamSensor(
     LIDAR,
-    Mount(np.zeros(3), (0.0, 0.0, 0.0, 1.0)),
+    MountPose(np.zeros(3), (0.0, 0.0, 0.0, 1.0)),
     min_range=0.0,
     max_range=40.0,
     num_azimuths=36,

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from bulletuav.bridges.airsim_cameras import Camera, find_camera
+from bulletuav.bridges.airsim_cameras import AirsimCamera, find_camera
 from bulletuav.bridges.airsim_images import list_cameras
 from bulletuav.bridges.airsim_objects import (
     SceneObject,
@@ -15,7 +15,7 @@ from bulletuav.bridges.airsim_objects import (
     list_objects,
     match_wildcards,
 )
-from bulletuav.bridges.airsim_settings import Mount
+from bulletuav.bridges.airsim_settings import MountPose
 from bulletuav.bridges.airsim_states import geo_point
 from bulletuav.bridges.airsim_values import (
     attitude_from_airsim,
@@ -73,14 +73,14 @@ class CameraCalls:
             "simGetDetections": self._get_detections,
         }
 
-    def _find(self, name: Any, vehicle_name: Any, external: Any) -> tuple[int | None, Camera]:
+    def _find(self, name: Any, vehicle_name: Any, external: Any) -> tuple[int | None, AirsimCamera]:
         """Return a camera, and the index of its vehicle; None for a camera in the world."""
         check_text("camera_name", name)
         is_external = check_flag("external", external)
         i = None if is_external else self._world.vehicle(vehicle_name)[0]
         return i, find_camera(list_cameras(self._world, i), name)
 
-    def _locate(self, i: int | None, camera: Camera) -> tuple[np.ndarray, Quat4]:
+    def _locate(self, i: int | None, camera: AirsimCamera) -> tuple[np.ndarray, Quat4]:
         """Return the pose of a camera in the world."""
         if i is None:
             return camera.mount
@@ -100,7 +100,7 @@ class CameraCalls:
         if np.isfinite(orientation).all():
             turned = attitude_from_airsim(orientation) if i is None else orientation
             rotation = tuple(turned.tolist()) if i is None else swap_rotation(turned)
-        camera.mount = Mount(position, rotation)
+        camera.mount = MountPose(position, rotation)
 
     def _set_field_of_view(
         self, camera_name: str, degrees: Any, vehicle_name: str = "", external: bool = False
@@ -212,7 +212,7 @@ class CameraCalls:
 
 
 def _project(
-    camera: Camera, pose: tuple[np.ndarray, Quat4], kind: int, one: SceneObject
+    camera: AirsimCamera, pose: tuple[np.ndarray, Quat4], kind: int, one: SceneObject
 ) -> np.ndarray | None:
     """Project the box of an object into the image of a camera.
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from bulletuav.bridges.airsim_settings import CameraSettings, Capture, Mount
+from bulletuav.bridges.airsim_settings import CameraSettings, Capture, MountPose
 from bulletuav.bridges.airsim_values import rotation_from_degrees
 from bulletuav.errors import shown, unknown
 from bulletuav.geometry.rotation import Quat4, product, to_world
@@ -26,14 +26,14 @@ SCENE = 0
 """AirSim's image type of colours"""
 
 
-class Camera:
+class AirsimCamera:
     """Camera of a vehicle, or one that stands in the world.
 
     Attributes:
         mount: Pose on the vehicle, or in the world.
     """
 
-    def __init__(self, mount: Mount, captures: Mapping[int, Capture]) -> None:
+    def __init__(self, mount: MountPose, captures: Mapping[int, Capture]) -> None:
         """Create a camera.
 
         Args:
@@ -84,7 +84,7 @@ class Camera:
 
 def make_cameras(
     airframe: Airframe, defaults: CameraSettings, own: Mapping[str, CameraSettings]
-) -> dict[str, Camera]:
+) -> dict[str, AirsimCamera]:
     """Return the cameras of a vehicle: AirSim's five, and those of the settings.
 
     Args:
@@ -99,7 +99,7 @@ def make_cameras(
     }
 
 
-def make_external_cameras(settings: Mapping[str, CameraSettings]) -> dict[str, Camera]:
+def make_external_cameras(settings: Mapping[str, CameraSettings]) -> dict[str, AirsimCamera]:
     """Return cameras that stand in the world; by default at its origin, and look north."""
     cameras = {}
     for name, one in settings.items():
@@ -107,11 +107,13 @@ def make_external_cameras(settings: Mapping[str, CameraSettings]) -> dict[str, C
         roll, pitch, yaw = np.nan_to_num(np.array(one.angles)).tolist()
         # An attitude of yaw 0 faces north, whose yaw is 90 degrees here
         rotation = rotation_from_degrees(roll, pitch, yaw - 90.0)
-        cameras[name] = Camera(Mount(np.array((east, north, -down)), rotation), one.captures)
+        cameras[name] = AirsimCamera(
+            MountPose(np.array((east, north, -down)), rotation), one.captures
+        )
     return cameras
 
 
-def _make_camera(airframe: Airframe, yaw: float | None, settings: CameraSettings) -> Camera:
+def _make_camera(airframe: Airframe, yaw: float | None, settings: CameraSettings) -> AirsimCamera:
     """Return a camera of a vehicle.
 
     Args:
@@ -129,10 +131,10 @@ def _make_camera(airframe: Airframe, yaw: float | None, settings: CameraSettings
     given = np.array(settings.position) * (1.0, -1.0, -1.0)
     position = np.where(np.isfinite(given), given, position)
     chosen = np.where(np.isfinite(settings.angles), settings.angles, angles).tolist()
-    return Camera(Mount(position, rotation_from_degrees(*chosen)), settings.captures)
+    return AirsimCamera(MountPose(position, rotation_from_degrees(*chosen)), settings.captures)
 
 
-def find_camera(cameras: Mapping[str, Camera], name: str) -> Camera:
+def find_camera(cameras: Mapping[str, AirsimCamera], name: str) -> AirsimCamera:
     """Return a camera by its name or number.
 
     Raises:

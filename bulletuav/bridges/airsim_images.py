@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from PIL import Image
 
-from bulletuav.bridges.airsim_cameras import SCENE, Camera, find_camera
+from bulletuav.bridges.airsim_cameras import SCENE, AirsimCamera, find_camera
 from bulletuav.bridges.airsim_values import check_flag, check_text, write_pose
 from bulletuav.bridges.airsim_world import AirsimWorld
 from bulletuav.errors import as_int, shown
@@ -133,7 +133,7 @@ def make_exposures(
     return [Exposure(request, _make_view(world, i, request)) for request in requests]
 
 
-def list_cameras(world: AirsimWorld, i: int | None) -> Mapping[str, Camera]:
+def list_cameras(world: AirsimWorld, i: int | None) -> Mapping[str, AirsimCamera]:
     """Return the cameras of a drone, or those that stand in the world, by name."""
     return world.external_cameras if i is None else list(world.vehicles.values())[i].cameras
 

@@ -313,7 +313,7 @@ def move_by_motors(
     return HoldSetpoint(world.clock, check_duration("duration", duration), command)
 
 
-class ManualFlight(MotionPrimitive):
+class StickFlight(MotionPrimitive):
     """Fly by the sticks that a client sends, for a duration."""
 
     def __init__(
@@ -373,7 +373,7 @@ def move_by_manual(
         check_number("z_min", z_min, MAX_STICK_VALUE),
     )
     heading = _read_heading(drivetrain, yaw_mode)
-    return ManualFlight(world, i, vehicle, limits, check_duration("duration", duration), heading)
+    return StickFlight(world, i, vehicle, limits, check_duration("duration", duration), heading)
 
 
 def move_to_gps(

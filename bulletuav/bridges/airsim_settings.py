@@ -48,7 +48,7 @@ MAX_LISTED = 30
 """Maximum number of ignored keys in a message"""
 
 
-class Mount(NamedTuple):
+class MountPose(NamedTuple):
     """Pose of a camera or sensor on a vehicle, or in the world.
 
     Attributes:
@@ -100,7 +100,7 @@ class BeamSensor(NamedTuple):
     """
 
     kind: int
-    mount: Mount
+    mount: MountPose
     min_range: float
     max_range: float
     num_azimuths: int = 1
@@ -254,7 +254,7 @@ class _Section:
         self._ignored += [self.name(key) for key in self._values if key not in silent]
 
 
-def read_settings(path: str | Path) -> AirsimSettings:
+def read_airsim_settings(path: str | Path) -> AirsimSettings:
     """Read a settings file.
 
     Args:
@@ -464,10 +464,10 @@ def _read_sensors(
     return sensors
 
 
-def _read_mount(part: _Section) -> Mount:
+def _read_mount(part: _Section) -> MountPose:
     forward, right, down = part.numbers(("X", "Y", "Z"), 0.0, 100.0)
     angles = part.numbers(("Roll", "Pitch", "Yaw"), 0.0, 360.0)
-    return Mount(np.array((forward, -right, -down)), rotation_from_degrees(*angles))
+    return MountPose(np.array((forward, -right, -down)), rotation_from_degrees(*angles))
 
 
 def _read_distance(part: _Section) -> BeamSensor:

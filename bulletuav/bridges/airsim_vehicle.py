@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from bulletuav.bridges.airsim_beams import RangeFinder
-from bulletuav.bridges.airsim_cameras import Camera
+from bulletuav.bridges.airsim_cameras import AirsimCamera
 from bulletuav.bridges.motions import DoneCallback, HoldPosition, MotionPrimitive, MotorsOff
 from bulletuav.bridges.setpoints import NORTH, AirspaceCommand, Setpoint, SetpointController, State
 
@@ -70,7 +70,7 @@ class AirsimVehicle:
         controller: SetpointController,
         attitude: tuple[float, ...] = NORTH,
         starts_armed: bool = True,
-        cameras: Mapping[str, Camera] | None = None,
+        cameras: Mapping[str, AirsimCamera] | None = None,
         range_finders: Mapping[str, RangeFinder] | None = None,
     ) -> None:
         """Create a vehicle on the ground with stopped motors."""

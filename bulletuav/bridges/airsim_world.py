@@ -82,7 +82,7 @@ class AirsimWorld:
             home: Latitude, longitude (degrees) and altitude (m) of the origin; by default that of
                 the settings, or of AirSim's worlds.
             lidar: Whether vehicles carry a lidar with 180 beams.
-            settings: Settings of a file, see `read_settings`. Vehicles of the settings replace
+            settings: Settings of a file, see `read_airsim_settings`. Its vehicles replace
                 `drones` and `places`; `home` and `wind` override the origin and wind of the
                 settings.
             **options: Other options of `Airspace`, such as obstacles, a layout, sensors or wind.

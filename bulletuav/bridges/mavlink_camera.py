@@ -52,7 +52,7 @@ STEPS_PER_SECOND = 100
 Location = tuple[float, ...]
 
 
-class Camera:
+class MavlinkCamera:
     """Camera of one vehicle, a component of its own.
 
     Attributes:
@@ -187,10 +187,10 @@ class Camera:
 
 
 CAMERA_IMAGE_CAPTURED = 263
-INFORMATION: dict[int, tuple[str, Callable[[Camera], tuple[Any, ...]]]] = {
-    259: ("camera_information", Camera._information),
-    260: ("camera_settings", Camera._settings),
-    261: ("storage_information", Camera._storage),
-    262: ("camera_capture_status", Camera._capture_status),
+INFORMATION: dict[int, tuple[str, Callable[[MavlinkCamera], tuple[Any, ...]]]] = {
+    259: ("camera_information", MavlinkCamera._information),
+    260: ("camera_settings", MavlinkCamera._settings),
+    261: ("storage_information", MavlinkCamera._storage),
+    262: ("camera_capture_status", MavlinkCamera._capture_status),
 }
 """Messages of the camera by ID"""

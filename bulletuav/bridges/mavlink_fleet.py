@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from bulletuav.bridges.mavlink_camera import PICTURE_SIZE, VERTICAL_FOV, Camera
+from bulletuav.bridges.mavlink_camera import PICTURE_SIZE, VERTICAL_FOV, MavlinkCamera
 from bulletuav.bridges.mavlink_coordinates import Site
 from bulletuav.bridges.mavlink_gimbal import compute_heading
 from bulletuav.bridges.mavlink_protocol import Message, OutgoingMessage, Sender
@@ -102,14 +102,14 @@ class MavlinkFleet:
         set_rotors = partial(self._set_rotors, i)
         return MavlinkVehicle(i + 1, airframe, site, partial(self._locate, i), set_rotors)
 
-    def _make_camera(self, i: int, folder: str | Path | None) -> Camera | None:
+    def _make_camera(self, i: int, folder: str | Path | None) -> MavlinkCamera | None:
         """Return the camera of a vehicle, or None without a folder for its pictures."""
         if folder is None:
             return None
-        return Camera(Path(folder), i + 1, partial(self._take_picture, i))
+        return MavlinkCamera(Path(folder), i + 1, partial(self._take_picture, i))
 
     def _take_picture(self, i: int) -> tuple[np.ndarray, tuple[float, ...]]:
-        """Return the view of a vehicle's gimbal, and its pose; see `Camera`."""
+        """Return the view of a vehicle's gimbal, and its pose; see `MavlinkCamera`."""
         vehicle = self.services[i].vehicle
         state, gimbal = vehicle.pilot.state, vehicle.gimbal
         heading = math.pi / 2 - compute_heading(state) - gimbal.relative_yaw(state)

@@ -5,7 +5,7 @@ import math
 from collections.abc import Sequence
 
 from bulletuav.bridges import mavlink_setpoints
-from bulletuav.bridges.mavlink_camera import CAMERA_COMPONENT, Camera
+from bulletuav.bridges.mavlink_camera import CAMERA_COMPONENT, MavlinkCamera
 from bulletuav.bridges.mavlink_commands import COMMANDS, CommandRequest, set_mode
 from bulletuav.bridges.mavlink_gimbal import DEVICE_ID
 from bulletuav.bridges.mavlink_missions import ACCEPTED
@@ -59,7 +59,7 @@ class Services:
         camera: Camera; None for none.
     """
 
-    def __init__(self, vehicle: MavlinkVehicle, camera: Camera | None = None) -> None:
+    def __init__(self, vehicle: MavlinkVehicle, camera: MavlinkCamera | None = None) -> None:
         """Initialise the handler of a vehicle."""
         self.camera = camera
         self.vehicle, self.streams = vehicle, TelemetryRates(vehicle.system_id)

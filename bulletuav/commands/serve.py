@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from bulletuav.bridges import airsim, crazyflie, hil, mavlink
-from bulletuav.bridges.airsim_settings import AirsimSettings, list_ignored, read_settings
+from bulletuav.bridges.airsim_settings import AirsimSettings, list_ignored, read_airsim_settings
 from bulletuav.bridges.airsim_world import AirsimWorld
 from bulletuav.bridges.crazyflie_fleet import CrazyflieFleet
 from bulletuav.bridges.hil_bodies import HilBodies
@@ -128,7 +128,7 @@ def _serve_airsim(arguments: argparse.Namespace) -> None:
     frame = arguments.airframe or "iris"
     drones = 1 if arguments.drones is None else arguments.drones
     path = arguments.settings
-    settings = AirsimSettings() if path is None else read_settings(path)
+    settings = AirsimSettings() if path is None else read_airsim_settings(path)
     options = _options(arguments)
     if settings.wind is not None and any(options.pop("wind")):
         raise ValueError("--wind is given, and Wind in the settings file: leave one out")

@@ -24,6 +24,7 @@ from bulletuav.interrupts import TEXT
 from bulletuav.policies.run import (
     COMPILED,
     CONFIG,
+    CURVE,
     INTERFACE,
     POLICY,
     SCENE,
@@ -35,7 +36,6 @@ from bulletuav.tasks import find_task
 from bulletuav.training.campaign import Campaign, describe_wall_time, learning_table
 from bulletuav.training.schedules import default_run, shipped_run
 from bulletuav.training.store import (
-    CURVE,
     UPDATES,
     Row,
     evaluation_conditions,

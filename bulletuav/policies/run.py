@@ -32,6 +32,8 @@ MODULE_NAME = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
 """Name by which a module is imported: `module:Name`"""
 POLICY = "policy.safetensors"
 """File name of the policy of a run or of a checkpoint"""
+CURVE = "curve.csv"
+"""File of the learning curve"""
 CHECKPOINTS = "checkpoints"
 """Name of the checkpoint folder of a run"""
 FAST = "fast_ppo"

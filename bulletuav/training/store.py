@@ -27,6 +27,7 @@ from bulletuav.policies.run import (
     CHECKPOINTS,
     COMPILED,
     CONFIG,
+    CURVE,
     MODULE_NAME,
     POLICY,
     RunConfig,
@@ -38,8 +39,6 @@ EVALUATION_SEED = 1_000_000
 """Seed of the first episode of evaluations during training, apart from other seeds"""
 RECENT = 100
 """Number of recent training episodes over which progress is averaged"""
-CURVE = "curve.csv"
-"""File of the learning curve"""
 UPDATES = "updates.csv"
 """File of training statistics by update"""
 WALL_COLUMNS = ("simulation", "update", "evaluation")

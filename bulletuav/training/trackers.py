@@ -7,11 +7,15 @@ from pathlib import Path
 
 from bulletuav.errors import find_choice
 from bulletuav.policies.run import RunConfig
+from bulletuav.training.store import evaluation_conditions, training_conditions
 
 Log = Callable[[Mapping[str, float], int], None]
 """Callback with numbers by name, such as "evaluation/return", and the number of finished steps"""
-TRACKERS = {"mlflow": "bulletuav.adapters.mlflow", "wandb": "bulletuav.adapters.wandb"}
-"""Module of each tracker; it has `open_run`, and needs the extra of the same name"""
+TRACKERS = {
+    "mlflow": ("bulletuav.adapters.mlflow", "open_mlflow_run"),
+    "wandb": ("bulletuav.adapters.wandb", "open_wandb_run"),
+}
+"""Module and function of each tracker, which needs the extra of the same name"""
 
 
 def open_tracker(
@@ -33,11 +37,12 @@ def open_tracker(
     """
     if name is None:
         return contextlib.nullcontext(lambda values, steps: None)
-    adapter = importlib.import_module(find_choice("tracker", name, TRACKERS))
-    opened: contextlib.AbstractContextManager[Log] = adapter.open_run(config, folder)
+    module, function = find_choice("tracker", name, TRACKERS)
+    open_run = getattr(importlib.import_module(module), function)
+    conditions = {
+        "rollout/conditions": str(training_conditions(config)),
+        "evaluation/conditions": str(evaluation_conditions(config)),
+    }
+    run_name = f"{config.task}-{config.algo}-{config.seed}"
+    opened: contextlib.AbstractContextManager[Log] = open_run(run_name, config, conditions, folder)
     return opened
-
-
-def run_name(config: RunConfig) -> str:
-    """Return the name of a run in trackers, such as "crossing-ppo-0"."""
-    return f"{config.task}-{config.algo}-{config.seed}"

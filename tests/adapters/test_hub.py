@@ -11,9 +11,8 @@ import yaml
 import bulletuav
 from bulletuav.adapters.hub import write_hub
 from bulletuav.cli import main
-from bulletuav.policies.run import CONFIG, POLICY, SHIPPED, RunConfig, shipped
+from bulletuav.policies.run import CONFIG, CURVE, POLICY, SHIPPED, RunConfig, shipped
 from bulletuav.policies.scores import read_scores
-from bulletuav.training.store import CURVE
 
 
 def load(folder):

@@ -12,7 +12,7 @@ from bulletuav.bridges.airsim_settings import (
     VehicleSettings,
     list_ignored,
     parse_settings,
-    read_settings,
+    read_airsim_settings,
 )
 from bulletuav.bridges.airsim_world import AirsimWorld
 from bulletuav.cli import main
@@ -84,7 +84,7 @@ def calls():
 def test_a_file_is_read_and_ignored_keys_are_listed(tmp_path):
     path = tmp_path / "settings.json"
     path.write_text(json.dumps(FILE), encoding="utf-8-sig")
-    settings = read_settings(path)
+    settings = read_airsim_settings(path)
     assert list(settings.vehicles) == ["Drone_0"]
     assert settings.clock_speed == 2
     assert settings.origin == (47.4, 8.5, 500)
@@ -287,7 +287,7 @@ def test_wrong_values_are_one_error_with_the_key(change, message, tmp_path):
     path = tmp_path / "settings.json"
     path.write_text(json.dumps(change))
     with pytest.raises(ValueError, match=message) as error:
-        read_settings(path)
+        read_airsim_settings(path)
     assert "settings.json" in str(error.value)
 
 
@@ -296,14 +296,14 @@ def test_damaged_files_are_one_error(content, tmp_path):
     path = tmp_path / "settings.json"
     path.write_text(content)
     with pytest.raises(ValueError, match=r"settings\.json"):
-        read_settings(path)
+        read_airsim_settings(path)
 
 
 def test_large_files_are_not_read(tmp_path):
     path = tmp_path / "settings.json"
     path.write_text(" " * 2**21)
     with pytest.raises(ValueError, match="larger than 1048576 bytes"):
-        read_settings(path)
+        read_airsim_settings(path)
 
 
 def test_vehicles_are_those_of_the_file_or_of_the_options():

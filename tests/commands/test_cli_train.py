@@ -280,6 +280,7 @@ class Absent:
             raise ModuleNotFoundError(f"No module named {name!r}", name=name)
 
 
+@pytest.mark.filterwarnings("ignore:the package's policy")
 @pytest.mark.parametrize("task", shipped_tasks())
 def test_a_shipped_policy_flies_its_task_without_what_it_was_trained_with(
     task, tmp_path, capsys, monkeypatch

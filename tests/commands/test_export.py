@@ -72,7 +72,7 @@ def test_a_flight_becomes_mcap(copied, capsys):
 def test_the_commands_of_the_pages_run(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     docs = Path(__file__).parents[2] / "docs" / "howto"
-    (commands,), (_, of_policies) = (
+    (commands,), (_, of_policies, to_hub) = (
         re.findall(r"```bash\n(.*?)```", (docs / page).read_text(), re.DOTALL)
         for page in ("export.md", "deploy_a_policy.md")
     )
@@ -94,6 +94,8 @@ def test_the_commands_of_the_pages_run(tmp_path, monkeypatch):
     if importlib.util.find_spec("onnxruntime"):
         main(as_onnx)
         assert Path("crossing-run", "policy.onnx").is_file()
+    main(shlex.split(to_hub)[1:])
+    assert Path("interception-hub", "README.md").is_file()
 
 
 def test_a_file_of_the_run_and_another_place_will_do(copied, tmp_path):

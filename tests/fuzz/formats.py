@@ -15,7 +15,7 @@ from bulletuav.adapters.parquet import read_about, read_table, write_table
 from bulletuav.analysis.recording import fly_episode, load, outcomes, save
 from bulletuav.analysis.results_folder import ResultsFolder
 from bulletuav.analysis.seals import add_seal, hash_files
-from bulletuav.bridges.airsim_settings import read_settings
+from bulletuav.bridges.airsim_settings import read_airsim_settings
 from bulletuav.city.imports import from_geojson, from_obj
 from bulletuav.engine.drones import require_loadable
 from bulletuav.envs.snapshot import Snapshot, checksum_of
@@ -219,8 +219,8 @@ def make_airsim_settings(folder):
     (folder / "settings.json").write_text(json.dumps(values))
 
 
-def read_airsim_settings(folder):
-    read_settings(folder / "settings.json")
+def read_vehicle_settings(folder):
+    read_airsim_settings(folder / "settings.json")
 
 
 def make_json_track(folder):
@@ -483,7 +483,7 @@ FORMATS = {
     "csv track": Format("own.csv", "text", make_csv_track, read_csv_track),
     "json track": Format("own.json", "json", make_json_track, read_json_track, 2),
     "airsim settings": Format(
-        "settings.json", "json", make_airsim_settings, read_airsim_settings, 2
+        "settings.json", "json", make_airsim_settings, read_vehicle_settings, 2
     ),
     "run.yaml": Format("run.yaml", "yaml", make_run, read_run_yaml, 2),
     "study.yaml": Format("study.yaml", "yaml", make_study, read_study),

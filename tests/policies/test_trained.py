@@ -40,6 +40,7 @@ def with_critic(weights):
     return weights | whole
 
 
+@pytest.mark.filterwarnings("ignore:the package's policy")
 @pytest.mark.parametrize("task", shipped_tasks())
 def test_numpy_flies_as_pytorch_learned(task):
     """In double precision; in single precision PyTorch is off by 1e-6 in the sums over users."""

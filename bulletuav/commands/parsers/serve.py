@@ -15,7 +15,6 @@ ABOUT = {
   bulletuav serve crazyflie --drones 10
   bulletuav serve crazyflie --drones 4 --wind 2 0 0 --port 19860
   bulletuav serve airsim --drones 2 --lidar
-  bulletuav serve airsim --settings settings.json
   bulletuav serve mavlink --drones 3
   bulletuav serve mavlink --loss 0.1 --delay 0.05
   bulletuav serve hil --wind 3 0 0""",
