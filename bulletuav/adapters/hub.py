@@ -138,7 +138,7 @@ def write_hub(run: Path, place: Path, trust: bool = False) -> list[Path]:
         ENVIRONMENT: ENV_TEXT.format(
             task=config.task,
             identifier=environment_id(config.task),
-            options=pprint.pformat(options(config), width=96),
+            options=pprint.pformat(plain_value(config.evaluated), width=96),
         ),
         REQUIREMENTS: f"bulletuav=={__version__}\n",
         CARD: card(run, config),
@@ -146,11 +146,6 @@ def write_hub(run: Path, place: Path, trust: bool = False) -> list[Path]:
     for name, text in texts.items():
         replace_file(place / name, text)
     return [place / name for name in (POLICY, CONFIG, *texts)]
-
-
-def options(config: RunConfig) -> dict[str, Any]:
-    """Return the options of the evaluations of a training as plain values."""
-    return {name: plain_value(value) for name, value in config.evaluated.items()}
 
 
 def card(run: Path, config: RunConfig) -> str:
@@ -163,8 +158,7 @@ def card(run: Path, config: RunConfig) -> str:
     spec = EnvSpec(config.task, 1, config.evaluated)
     measured = scores(run, config)
     # The policy for any quadrotor has the task hover
-    is_shipped = run.resolve().parent == SHIPPED.resolve()
-    name = f"bulletuav-{run.resolve().name if is_shipped else config.task}"
+    name = f"bulletuav-{run.resolve().name if _is_shipped(run) else config.task}"
     data: dict[str, Any] = {
         "library_name": "bulletuav",
         "license": "mit",
@@ -196,6 +190,11 @@ def card(run: Path, config: RunConfig) -> str:
     )
 
 
+def _is_shipped(run: Path) -> bool:
+    """Return whether the folder of a run is in the package."""
+    return run.resolve().parent == SHIPPED.resolve()
+
+
 def _notes(run: Path) -> list[str]:
     """Return remarks on the origin of a policy: comments of its settings, and its checkpoint."""
     file = config_file(run)
@@ -214,7 +213,7 @@ def scores(run: Path, config: RunConfig) -> list[Score]:
         run: Folder of the training run.
         config: Its settings.
     """
-    if run.resolve().parent == SHIPPED.resolve():
+    if _is_shipped(run):
         return [
             (
                 f"difficulty {level}, {found['episodes']} episodes",

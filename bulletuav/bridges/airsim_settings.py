@@ -198,6 +198,10 @@ class _Section:
         escaped = shown(key)[1:-1]
         return f"{self._where}.{escaped}" if self._where else escaped
 
+    def __contains__(self, key: str) -> bool:
+        """Return whether the file has a key that is not read yet."""
+        return key in self._values
+
     def pop(self, key: str, default: Any = None) -> Any:
         """Return a value, and record that its key is read."""
         return self._values.pop(key, default)
@@ -248,6 +252,10 @@ class _Section:
             _Section(value, f"{self.name(key)}[{k}]", self._ignored)
             for k, value in enumerate(values)
         ]
+
+    def ignore(self, remark: str = "") -> None:
+        """Record the whole object as ignored, with a remark."""
+        self._ignored.append(f"{self._where}{remark}")
 
     def close(self, silent: tuple[str, ...] = ()) -> None:
         """Record the keys that were not read as ignored."""
@@ -330,12 +338,12 @@ def list_ignored(keys: Sequence[str]) -> str:
 
 def _optional(part: _Section, key: str, least: float, most: float) -> float | None:
     """Return a number, or None if there is none."""
-    value = part.number(key, math.nan, least, most) if key in part._values else None
+    value = part.number(key, math.nan, least, most) if key in part else None
     return None if value is None or math.isnan(value) else value
 
 
 def _read_wind(root: _Section) -> tuple[float, ...] | None:
-    if "Wind" not in root._values:
+    if "Wind" not in root:
         return None
     part = root.section("Wind")
     wind = part.numbers(("X", "Y", "Z"), 0.0, 100.0)
@@ -344,11 +352,11 @@ def _read_wind(root: _Section) -> tuple[float, ...] | None:
 
 
 def _read_origin(root: _Section) -> tuple[float, ...] | None:
-    if "OriginGeopoint" not in root._values:
+    if "OriginGeopoint" not in root:
         return None
     part = root.section("OriginGeopoint")
     bounds = {"Latitude": (-90, 90), "Longitude": (-180, 180), "Altitude": (-500, 10_000)}
-    if missing := [key for key in bounds if key not in part._values]:
+    if missing := [key for key in bounds if key not in part]:
         raise ValueError(f"OriginGeopoint has no {', '.join(missing)}")
     origin = tuple(part.number(key, 0.0, *bounds[key]) for key in bounds)
     part.close()
@@ -373,7 +381,7 @@ def _read_recording(part: _Section) -> RecordingSettings:
     """Return the settings of recordings. The folder is an option of the server, not of the file."""
     defaults = RecordingSettings()
     cameras = None
-    if "Cameras" in part._values:
+    if "Cameras" in part:
         cameras = tuple(_read_recorded_camera(one) for one in part.items("Cameras"))
     settings = RecordingSettings(
         interval=part.number("RecordInterval", defaults.interval, 0.0, 1e6),
@@ -456,10 +464,10 @@ def _read_sensors(
             if is_enabled:
                 sensors[name] = sensor
         elif kind not in EVERY_VEHICLE:
-            part._ignored.append(f"{one._where} (SensorType {kind})")
+            one.ignore(f" (SensorType {kind})")
             continue
         elif not is_enabled:
-            part._ignored.append(one.name("Enabled"))
+            one.ignore(".Enabled")
         one.close()
     return sensors
 

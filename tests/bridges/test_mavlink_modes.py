@@ -31,8 +31,8 @@ RALLY = 2
 def set_parameter(station, name, value):
     is_int = isinstance(value, int)
     packed = np.array(value, np.int32).view(np.float32).item() if is_int else value
-    (told,) = station.send("param_set", *station.target, name.encode(), packed, 6 if is_int else 9)
-    assert told.param_value == packed
+    (reply,) = station.send("param_set", *station.target, name.encode(), packed, 6 if is_int else 9)
+    assert reply.param_value == packed
 
 
 def heading(station):
@@ -331,9 +331,9 @@ def test_an_empty_battery_prevents_arming(station):
 
 def test_the_imu_measures_gravity_and_the_field_of_the_earth(station):
     assert station.command(511, 105, 10000)[0] == ACCEPTED
-    told = messages(station.fly(1.0), "HIGHRES_IMU")
-    assert len(told) == 100
-    last = told[-1]
+    reply = messages(station.fly(1.0), "HIGHRES_IMU")
+    assert len(reply) == 100
+    last = reply[-1]
     np.testing.assert_allclose((last.xacc, last.yacc), 0, atol=0.02)
     assert last.zacc == pytest.approx(-9.80665, abs=0.05)
     # At PX4's home the field is 0.48 gauss strong, 63 degrees down; the vehicle faces north
@@ -366,15 +366,15 @@ def test_integers_of_commands_without_a_position_have_no_scale(station):
     assert command_int(station, 241, x=10_000_000) == UNSUPPORTED
     locked = common.GIMBAL_MANAGER_FLAGS_YAW_LOCK
     assert command_int(station, 1000, -30.0, 90.0, NAN, NAN, x=locked) == ACCEPTED
-    (told,) = station.command(512, 285)[1]
-    assert told.flags & common.GIMBAL_DEVICE_FLAGS_YAW_LOCK
+    (reply,) = station.command(512, 285)[1]
+    assert reply.flags & common.GIMBAL_DEVICE_FLAGS_YAW_LOCK
 
 
 def shell(station, line):
     data = [*line.encode(), *[0] * 70][:70]
-    told = station.send("serial_control", 10, 2, 0, 0, len(line), data)
-    assert {one.get_type() for one in told} <= {"SERIAL_CONTROL"}
-    return "".join(bytes(one.data[: one.count]).decode() for one in told)
+    reply = station.send("serial_control", 10, 2, 0, 0, len(line), data)
+    assert {one.get_type() for one in reply} <= {"SERIAL_CONTROL"}
+    return "".join(bytes(one.data[: one.count]).decode() for one in reply)
 
 
 def test_the_shell_answers(station):
@@ -393,9 +393,9 @@ def test_the_shell_answers(station):
 
 def gimbal_angles(station):
     """Pitch (up) and yaw (clockwise from the heading) of the gimbal, degrees."""
-    (told,) = station.command(512, 285)[1]
-    assert told.flags & common.GIMBAL_DEVICE_FLAGS_YAW_IN_VEHICLE_FRAME
-    w, x, y, z = told.q
+    (reply,) = station.command(512, 285)[1]
+    assert reply.flags & common.GIMBAL_DEVICE_FLAGS_YAW_IN_VEHICLE_FRAME
+    w, x, y, z = reply.q
     roll = math.atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
     assert roll == pytest.approx(0, abs=1e-6)
     pitch, yaw = (
@@ -445,8 +445,8 @@ def test_the_gimbal_looks_at_a_position(station):
 
 def test_systems_take_control_of_the_gimbal(station):
     def controls():
-        (told,) = station.command(512, 281)[1]
-        return told.primary_control_sysid, told.primary_control_compid
+        (reply,) = station.command(512, 281)[1]
+        return reply.primary_control_sysid, reply.primary_control_compid
 
     assert controls() == (0, 0)
     assert station.command(1001, -2, -2, -1, -1, 0, 0, 1)[0] == ACCEPTED
@@ -489,8 +489,8 @@ def test_the_camera_describes_itself(camera):
         (261, "STORAGE_INFORMATION"),
         (262, "CAMERA_CAPTURE_STATUS"),
     ):
-        result, (told,) = command(512, number)
-        assert (result, told.get_type()) == (ACCEPTED, name)
+        result, (reply,) = command(512, number)
+        assert (result, reply.get_type()) == (ACCEPTED, name)
     assert command(512, 33)[0] == UNSUPPORTED
     assert command(530, 0, 0)[0] == ACCEPTED
     assert command(530, 0, 1)[0] == UNSUPPORTED  # video
@@ -515,8 +515,8 @@ def test_pictures_show_where_the_gimbal_points(camera, tmp_path):
     assert sky.shape == (480, 640, 3)
     assert sky[:, :, 2].mean() > sky[:, :, 1].mean()  # blue above, green below
     assert ground[:, :, 2].mean() < ground[:, :, 1].mean()
-    result, (told,) = command(512, 263, 0)
-    assert (result, told.file_url) == (ACCEPTED, "vehicle1_0000.png")
+    result, (reply,) = command(512, 263, 0)
+    assert (result, reply.file_url) == (ACCEPTED, "vehicle1_0000.png")
     assert command(512, 263, 2)[0] == DENIED
 
 
@@ -543,9 +543,9 @@ def test_pictures_of_earlier_starts_are_kept(make_vehicles, tmp_path):
     station = Station(make_vehicles(1, pictures=tmp_path))
     for number in (8, 9):
         station.send("command_long", 1, CAMERA, 2000, 0, 0, 0, 1, 0, 0, 0, 0)
-        (told,) = messages(station.fly(0.1), "CAMERA_IMAGE_CAPTURED")
-        assert (told.image_index, told.file_url) == (number - 8, f"vehicle1_{number:04d}.png")
-        assert np.asarray(Image.open(tmp_path / told.file_url)).shape == (480, 640, 3)
+        (reply,) = messages(station.fly(0.1), "CAMERA_IMAGE_CAPTURED")
+        assert (reply.image_index, reply.file_url) == (number - 8, f"vehicle1_{number:04d}.png")
+        assert np.asarray(Image.open(tmp_path / reply.file_url)).shape == (480, 640, 3)
     assert [(tmp_path / name).read_text() for name in names] == ["earlier"] * 4
 
 
