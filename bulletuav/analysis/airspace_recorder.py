@@ -11,7 +11,7 @@ from typing import Any, NamedTuple, Self
 
 import numpy as np
 
-from bulletuav.analysis.recorded import Recording
+from bulletuav.analysis.recorded import INFO_ARRAYS, Recording
 from bulletuav.analysis.recorder import Recorder
 from bulletuav.analysis.recording import write_run
 from bulletuav.analysis.seals import require_trusted
@@ -170,6 +170,13 @@ class AirspaceRecorder:
     def __exit__(self, *error: object) -> None:
         """Close the recorder."""
         self.close()
+
+
+def record_instant(airspace: Airspace) -> Recording:
+    """Record the present state as one decision without a step, for data that are constant."""
+    recorder, none = Recorder(_View(airspace)), np.zeros((1, len(airspace.airframes)))
+    recorder.record(none[..., None], none, dict.fromkeys(INFO_ARRAYS, none))
+    return recorder.recording()
 
 
 def fly_calls(

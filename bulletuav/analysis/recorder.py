@@ -109,7 +109,7 @@ class Recorder:
             separation=column("separation"),
             conflicts=column("conflicts"),
             collision=column("collision"),
-            **_contact_columns([decision.contacts for decision in decisions]),
+            **stack_contacts([decision.contacts for decision in decisions]),
             goal=np.array([state.goal for state in states]),
             obstacle=np.concatenate(
                 [np.array([state.obstacle for state in states]), self._log.body_poses()[0]], axis=1
@@ -153,7 +153,7 @@ def _bar_axes(aviary: Recorded, num_pieces: int) -> np.ndarray:
     return np.concatenate([np.array(axes).reshape(-1, 3), np.zeros((num_pieces, 3))])
 
 
-def _contact_columns(contacts: list[Contacts]) -> dict[str, Any]:
+def stack_contacts(contacts: list[Contacts]) -> dict[str, Any]:
     """Stack the contacts of all decisions, by their names in recordings."""
     step = np.repeat(np.arange(len(contacts)), [len(one.world) for one in contacts])
     columns = map(np.concatenate, zip(*contacts, strict=True))

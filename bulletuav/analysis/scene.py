@@ -10,6 +10,13 @@ the loads and the pieces of added bodies:
 - `link`: (L, 3) row of the states, drone, and target, for each drone that serves a target.
 - `hull`: (V, 3) vertices of the city's pieces that are not boxes, m, one piece after the other.
 - `hull_size`: (H,) number of vertices of each of these. They are the last H of `building`.
+
+Recordings of servers may also have the markers of `analysis.markers`, in the world frame:
+
+- `marker_point`, `marker_line`: (M, 3) points, and (M, 2, 3) ends of lines, m.
+- `marker_point_style`, `marker_line_style`: (M, 4) uint8 red, green, blue and size, pixels.
+- `marker_point_time`, `marker_line_time`: (M, 2) times between which they are shown, s.
+- `marker_text`: JSON text with a list of texts, their positions, colours, sizes and times.
 """
 
 import json

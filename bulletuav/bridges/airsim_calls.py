@@ -15,6 +15,7 @@ from bulletuav.bridges.airsim_images import (
     make_response,
 )
 from bulletuav.bridges.airsim_motions import MOTIONS
+from bulletuav.bridges.airsim_plots import PlotCalls
 from bulletuav.bridges.airsim_recording import AirsimRecorder
 from bulletuav.bridges.airsim_scene_calls import SceneCalls
 from bulletuav.bridges.airsim_settings import VEHICLE_TYPES, VehicleSettings
@@ -120,6 +121,7 @@ class AirsimCalls:
             "moveByRC": self._set_remote,
             **CameraCalls(world).table,
             **SceneCalls(world).table,
+            **PlotCalls(world).table,
             "getLidarData": self._make_range_call(states.lidar),
             "getDistanceSensorData": self._make_range_call(states.distance),
         }

@@ -1,4 +1,4 @@
-"""AirSim's calls for the scene: objects, lines of sight, segmentation, plots."""
+"""AirSim's calls for the scene: objects, lines of sight, segmentation."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -16,20 +16,15 @@ from bulletuav.bridges.airsim_objects import (
 from bulletuav.bridges.airsim_states import geo_point
 from bulletuav.bridges.airsim_values import (
     check_flag,
-    check_number,
     check_text,
     read_pose,
-    read_text_list,
-    read_vector,
     write_pose,
     write_quaternion,
     write_vector,
 )
 from bulletuav.bridges.airsim_world import AirsimWorld
-from bulletuav.errors import as_int, as_sequence
+from bulletuav.errors import as_int
 
-MAX_POINTS = 2000
-"""Maximum number of points, texts or poses of a plot"""
 NO_POSE = {
     "position": write_vector((math.nan,) * 3),
     "orientation": write_quaternion((math.nan,) * 4),
@@ -56,15 +51,6 @@ class SceneCalls:
             "simGetWorldExtents": self._get_extents,
             "simSetSegmentationObjectID": self._set_segmentation_id,
             "simGetSegmentationObjectID": self._get_segmentation_id,
-            "simPlotPoints": self._plot_points,
-            "simPlotLineStrip": self._plot_points,
-            "simPlotLineList": self._plot_points,
-            "simPlotArrows": self._plot_arrows,
-            "simPlotStrings": self._plot_strings,
-            "simPlotTransforms": self._plot_transforms,
-            "simPlotTransformsWithNames": self._plot_named_transforms,
-            "simFlushPersistentMarkers": lambda: None,
-            "simSetTraceLine": self._set_trace_line,
         }
 
     def _list_objects(self, name_regex: str = ".*") -> list[str]:
@@ -111,55 +97,3 @@ class SceneCalls:
     def _get_segmentation_id(self, mesh_name: str) -> int:
         found = list_objects(self._world).get(check_text("mesh_name", mesh_name))
         return -1 if found is None else self._world.segmentation_ids[found.label]
-
-    # Plots are checked and dropped, because there is no screen
-
-    def _plot_points(
-        self, points: Any, colour: Any, size: Any, duration: Any, is_persistent: Any = False
-    ) -> None:
-        for point in as_sequence("points", points, most=MAX_POINTS):
-            read_vector("point", point)
-        _check_style(colour, size, duration, is_persistent)
-
-    def _plot_arrows(
-        self, starts: Any, ends: Any, colour: Any, thickness: Any, arrow_size: Any, duration: Any,
-        is_persistent: Any = False,
-    ) -> None:  # fmt: skip
-        check_number("arrow_size", arrow_size)
-        self._plot_points(starts, colour, thickness, duration, is_persistent)
-        self._plot_points(ends, colour, thickness, duration, is_persistent)
-
-    def _plot_strings(
-        self, strings: Any, positions: Any, scale: Any, colour: Any, duration: Any
-    ) -> None:
-        read_text_list("strings", strings, MAX_POINTS)
-        self._plot_points(positions, colour, scale, duration)
-
-    def _plot_transforms(
-        self, poses: Any, scale: Any, thickness: Any, duration: Any, is_persistent: Any = False
-    ) -> None:
-        for pose in as_sequence("poses", poses, most=MAX_POINTS):
-            read_pose(pose)
-        check_number("scale", scale)
-        _check_style((0.0,) * 4, thickness, duration, is_persistent)
-
-    def _plot_named_transforms(
-        self, poses: Any, names: Any, scale: Any, thickness: Any, text_scale: Any, colour: Any,
-        duration: Any,
-    ) -> None:  # fmt: skip
-        read_text_list("names", names, MAX_POINTS)
-        self._plot_transforms(poses, scale, thickness, duration)
-        _check_style(colour, text_scale, duration, False)
-
-    def _set_trace_line(self, colour: Any, thickness: Any = 1.0, vehicle_name: str = "") -> None:
-        self._world.vehicle(vehicle_name)
-        _check_style(colour, thickness, -1.0, False)
-
-
-def _check_style(colour: Any, size: Any, duration: Any, is_persistent: Any) -> None:
-    """Raise ValueError unless the style of a plot is valid."""
-    for part in as_sequence("color_rgba", colour, 4):
-        check_number("color_rgba", part)
-    check_number("size", size)
-    check_number("duration", duration)
-    check_flag("is_persistent", is_persistent)

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from bulletuav.analysis.markers import MarkerLog
 from bulletuav.bridges.airsim_beams import DEFAULT_LIDAR, DEFAULT_LIDAR_NAME, RangeFinder
 from bulletuav.bridges.airsim_cameras import make_cameras, make_external_cameras
 from bulletuav.bridges.airsim_settings import AirsimSettings, VehicleSettings
@@ -55,6 +56,7 @@ class AirsimWorld:
         segmentation_ids: Segmentation id of each label; -1 before one is set.
         label_colours: (5, 3) uint8 RGB colours of the labels; replaced, never changed.
         paused: Whether simulated time stands still.
+        markers: Log of the markers that clients plot; None if no replay shows them.
         acceleration: (N, 3) accelerations in the last step, m/s^2, east, north, up.
         angular_acceleration: (N, 3) angular accelerations in the last step, rad/s^2, body axes
             (FLU).
@@ -113,6 +115,7 @@ class AirsimWorld:
         self.origin = Origin(*as_sequence("home", home or settings.origin or HOME, 3))
         # Clock, and accelerations, which are computed from differences of velocities
         self.paused = False
+        self.markers: MarkerLog | None = None
         self._due, self._ticks, self._start_time = 0.0, 0, 0.0
         self._velocity = self.airspace.swarm.velocity.copy()
         self._rates = self.airspace.swarm.rates.copy()

@@ -5,6 +5,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from bulletuav.analysis.fleet_recorder import FleetRecorder
 from bulletuav.bridges import airsim, crazyflie, hil, mavlink
 from bulletuav.bridges.airsim_settings import AirsimSettings, list_ignored, read_airsim_settings
 from bulletuav.bridges.airsim_world import AirsimWorld
@@ -12,9 +13,12 @@ from bulletuav.bridges.crazyflie_fleet import CrazyflieFleet
 from bulletuav.bridges.hil_bodies import HilBodies
 from bulletuav.bridges.links import LinkQuality
 from bulletuav.bridges.mavlink_fleet import MavlinkFleet
+from bulletuav.commands.output import print_files
 from bulletuav.commands.progress import show_progress
+from bulletuav.commands.replay import PAGES
 from bulletuav.envs.viewer import join_address
-from bulletuav.errors import find_choice
+from bulletuav.errors import find_choice, shown
+from bulletuav.report.replay import write_replay
 
 
 def run(arguments: argparse.Namespace) -> None:
@@ -37,6 +41,8 @@ def run(arguments: argparse.Namespace) -> None:
     for name, (is_given, servers) in given.items():
         if is_given and serve not in servers:
             raise ValueError(f"--{name} has no effect on {arguments.kind}: omit it")
+    if arguments.replay is not None:
+        _check_page(arguments.replay)
     serve(arguments)
 
 
@@ -46,8 +52,19 @@ def _options(arguments: argparse.Namespace) -> dict[str, Any]:
     return {**named, "wind": tuple(arguments.wind), "seed": arguments.seed}
 
 
+def _check_page(path: Path) -> None:
+    """Raise an error, before the flight, if the file of the replay cannot be written."""
+    if path.suffix not in PAGES:
+        raise ValueError(f"--replay is {path}: its name has to end in .html")
+    if not path.parent.is_dir():
+        raise NotADirectoryError(f"no folder {shown(str(path.parent))}: create it for the replay")
+
+
 def _serve(
-    flown: Any, make: Callable[[], Any], describe: Callable[[Any], str], seconds: float | None
+    flown: Any,
+    make: Callable[[], Any],
+    describe: Callable[[Any], str],
+    arguments: argparse.Namespace,
 ) -> None:
     """Open the ports, compile, print the addresses, and serve; close everything at the end.
 
@@ -55,7 +72,7 @@ def _serve(
         flown: The simulated drones.
         make: Function that opens the ports and returns the server.
         describe: Function that returns the line to print for a server.
-        seconds: Duration in s; None for no limit.
+        arguments: Parsed arguments, of which `seconds` and `replay` are used.
     """
     try:
         server = make()
@@ -63,11 +80,32 @@ def _serve(
             with show_progress("compiling", 1, "servers"):
                 flown.warm_up()
             print(describe(server), flush=True)
-            server.run(seconds)
+            if arguments.replay is None:
+                server.run(arguments.seconds)
+            else:
+                _serve_recorded(flown, server, arguments)
         finally:
             server.close()
     finally:
         flown.close()
+
+
+def _serve_recorded(flown: Any, server: Any, arguments: argparse.Namespace) -> None:
+    """Serve, and write the replay at the end, also after an interrupt or an error."""
+    with FleetRecorder(flown) as recorder:
+        if isinstance(flown, AirsimWorld):
+            flown.markers = recorder.markers
+        try:
+            server.run(arguments.seconds)
+        finally:
+            if recorder.has_rows:
+                recording = recorder.recording()
+                drones = recording.position.shape[1]
+                title = f"serve {arguments.kind}: {drones} {'drones' if drones > 1 else 'drone'}"
+                write_replay(recording, title, arguments.replay)
+                print_files([arguments.replay])
+            else:
+                print(f"{arguments.replay} was not written: nothing has flown")
 
 
 def _address(
@@ -119,7 +157,7 @@ def _serve_crazyflie(arguments: argparse.Namespace) -> None:
         lambda server: (
             f"{len(fleet)} drones at {_format_addresses(arguments.host, server.ports, 'udp://')}"
         ),
-        arguments.seconds,
+        arguments,
     )
 
 
@@ -143,7 +181,7 @@ def _serve_airsim(arguments: argparse.Namespace) -> None:
         world,
         lambda: airsim.AirsimServer(world, *address, recordings=recordings),
         lambda server: f"{', '.join(world.vehicles)} at {join_address(server.host, server.port)}",
-        arguments.seconds,
+        arguments,
     )
 
 
@@ -162,7 +200,7 @@ def _serve_mavlink(arguments: argparse.Namespace) -> None:
             f"{len(fleet)} vehicles at {_format_addresses(arguments.host, server.ports)}; "
             f"they send to ports {clients} to {clients + len(fleet) - 1}"
         ),
-        arguments.seconds,
+        arguments,
     )
 
 
@@ -177,7 +215,7 @@ def _serve_hil(arguments: argparse.Namespace) -> None:
             f"{len(bodies)} bodies wait for autopilots at "
             f"{_format_addresses(arguments.host, server.ports)}"
         ),
-        arguments.seconds,
+        arguments,
     )
 
 

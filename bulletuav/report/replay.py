@@ -178,6 +178,7 @@ def make_payload(
     payload = Payload()
     charts = _add_rows(payload, recording, about)
     _add_city(payload, recording)
+    _add_markers(payload, recording)
     # Browsers draw triangles, but the scene holds only the vertices of hulls
     for part in (*about["obstacles"], *(p for one in about["airframes"] for p in one["parts"])):
         if part["kind"] == HULL:
@@ -198,6 +199,7 @@ def make_payload(
         # Earlier recordings have no pads
         "pads": dict(about.get("pads", NO_PADS)),
         "charts": charts,
+        "marker_texts": json.loads(str(recording.scene.get("marker_text", "[]"))),
     }
     return payload.text(metadata)
 
@@ -267,6 +269,16 @@ def _add_city(payload: Payload, recording: Recording) -> None:
     colours = recording.scene.get("building_colour", np.zeros((0, 3)))
     counts = [len(vertices) for vertices, _ in solids.faces] if len(colours) else []
     payload.add("city_colours", np.repeat(colours, counts, axis=0) / 255, "f4")
+
+
+def _add_markers(payload: Payload, recording: Recording) -> None:
+    """Add the points and lines of client programs, if there are any."""
+    for kind in ("point", "line"):
+        name = f"marker_{kind}"
+        if name in recording.scene:
+            payload.add(name, recording.scene[name], "f4")
+            payload.add(f"{name}_style", recording.scene[f"{name}_style"], "u1")
+            payload.add(f"{name}_time", recording.scene[f"{name}_time"], "f4")
 
 
 def _hull_triangles(corners: list[Any]) -> list[list[int]]:

@@ -478,11 +478,11 @@ GOOD = {
     | {"linear_velocity": vector(1.0, 0.0, 0.0), "angular_velocity": vector(0.0, 0.0, 1.0)},
     REMOTE: dict.fromkeys(("roll", "pitch", "throttle", "yaw"), 0.5) | {"is_valid": True},
     GEO: {"latitude": 47.64, "longitude": -122.14, "altitude": 150.0},
-    POINTS: [vector(1.0, 0.0, 0.0)],
+    POINTS: [vector(1.0, 0.0, 0.0)] * 2,
     COLOUR: [1.0, 0.0, 0.0, 1.0],
-    TEXTS: ["a"],
+    TEXTS: ["a", "b"],
     ANGLE: 60.0,
-    POSES: [pose((0, 0, -5))],
+    POSES: [pose((0, 0, -5))] * 2,
 }
 SEEN = (CAMERA, WHOLE)
 PLOT = (COLOUR, NUMBER, NUMBER)

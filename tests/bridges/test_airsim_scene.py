@@ -225,7 +225,7 @@ def test_a_vehicle_flies_to_a_geodetic_position(client):
         client.begin("moveToGPS", 10.0, 10.0, 100.0, 3.0, 60.0, *FREE, -1, 1, "")
 
 
-def test_plots_are_checked_and_dropped(client):
+def test_plots_are_checked_without_a_replay(client):
     red, points = [1.0, 0.0, 0.0, 1.0], [vector(1.0, 2.0, 3.0)]
     assert client("simPlotStrings", ["a"], points, 5, red, 1.0) is None
     assert client("simPlotTransformsWithNames", [pose((0, 0, 0))], ["a"], 1, 1, 1, red, 1) is None

@@ -1,5 +1,6 @@
 """The page of a replay in a real browser; skipped where there is no Chromium."""
 
+import dataclasses
 import io
 
 import chromium
@@ -8,6 +9,7 @@ import pytest
 from PIL import Image
 
 import bulletuav
+from bulletuav.analysis.markers import MarkerLog
 from bulletuav.analysis.recording import fly_episode
 from bulletuav.policies import find_policy
 from bulletuav.report import replay_sampling
@@ -201,6 +203,37 @@ def test_a_block_that_is_no_block_is_told(flight, browser, tmp_path):
     browser.wait("document.querySelector('#trouble') && !document.querySelector('#trouble').hidden")
     assert browser.messages
     browser.messages.clear()
+
+
+def test_markers_are_shown_for_their_time(flight, browser, tmp_path):
+    log = MarkerLog(lambda: 2.0)
+    log.add_points(np.array([[1.0, 2.0, 3.0]]), (0.0, 0.0, 1.0), 20, 1.0)
+    log.add_lines(np.zeros((2, 2, 3)), (1.0, 0.0, 0.0), 3, np.inf)
+    log.add_texts(["here <b>"], np.array([[0.0, 0.0, 2.0]]), (1.0, 0.0, 0.0), 12, np.inf)
+    marked = dataclasses.replace(flight, scene={**flight.scene, **log.arrays()})
+    path = tmp_path / "marked.html"
+    write_replay(marked, "marked", path)
+    browser.open(path, "#theme=light")
+    shown = (
+        "[...replay.markers.points, ...replay.markers.lines]"
+        ".map((one) => one.mesh.geometry.drawRange.count)"
+    )
+    texts = "[...document.querySelectorAll('#texts div')].map((one) => one.textContent)"
+    for time, counts in ((1.9, [0, 0]), (2.1, [1, 12]), (3.1, [0, 12])):
+        browser.tell(f"replay.seek({time})")
+        browser.wait("!replay.dirty")
+        assert browser.tell(shown) == counts
+        assert browser.tell(texts) == (["here <b>"] if time > 2 else [])
+    browser.tell("replay.seek(2.5)")
+    browser.wait("!replay.dirty && !replay.view.changed")
+    at = browser.tell("replay.projectPoint([1, 2, 3])")
+    picture = np.array(Image.open(io.BytesIO(browser.picture())))
+    assert picture[round(at[1]), round(at[0]), :3].tolist() == [0, 0, 255]
+    browser.click("#more")
+    browser.click("#layer-markers")
+    browser.wait("!replay.dirty")
+    assert browser.tell("document.querySelector('#texts').hidden")
+    assert browser.messages == []
 
 
 def test_large_swarms_are_shown_as_discs_and_a_sample_in_detail(browser, tmp_path, monkeypatch):

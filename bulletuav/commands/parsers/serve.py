@@ -1,6 +1,7 @@
 """Arguments of `bulletuav serve`."""
 
 import argparse
+from pathlib import Path
 
 from bulletuav.commands.parsers.deferred import DeferredHelp
 
@@ -15,6 +16,7 @@ ABOUT = {
   bulletuav serve crazyflie --drones 10
   bulletuav serve crazyflie --drones 4 --wind 2 0 0 --port 19860
   bulletuav serve airsim --drones 2 --lidar
+  bulletuav serve airsim --replay flight.html
   bulletuav serve mavlink --drones 3
   bulletuav serve mavlink --loss 0.1 --delay 0.05
   bulletuav serve hil --wind 3 0 0""",
@@ -105,6 +107,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--pictures",
         metavar="FOLDER",
         help="mavlink: equip drones with cameras, whose pictures are written there",
+    )
+    parser.add_argument(
+        "--replay",
+        type=Path,
+        metavar="FILE",
+        help="write a 3-D replay of the flight, as a web page (.html), when the server ends",
     )
     parser.add_argument("--lidar", action="store_true", help="airsim: equip drones with a lidar")
     parser.add_argument(

@@ -19,6 +19,7 @@ const LAYERS = [
   ["links", "Links to served users"],
   ["beams", "Range finder beams"],
   ["cables", "Cables"],
+  ["markers", "Markers of clients"],
   ["city", "City"],
 ];
 const TRACKED = [1, 4, 16, 64]; // numbers of drones whose trails may be shown

@@ -7,6 +7,7 @@ import { Drones } from "./drones.js";
 import { Episode } from "./episode.js";
 import { setLineSize } from "./lines.js";
 import { listen } from "./live.js";
+import { Markers } from "./markers.js";
 import { readPayload } from "./payload.js";
 import { Plots } from "./plots.js";
 import { Service } from "./service.js";
@@ -81,8 +82,10 @@ class Player {
     this.world = new World(this.episode, whole);
     this.drones = new Drones(this.episode);
     this.service = new Service(this.episode);
+    this.markers = new Markers(this.episode);
+    this.parts = [this.world, this.drones, this.service, this.markers];
     this.scene = new Scene();
-    this.scene.add(this.world, this.drones, this.service);
+    this.scene.add(...this.parts);
     const hasContacts = payload.grows || payload.array("contact_row").length;
     this.layers = {
       trails: this.drones.trails,
@@ -95,6 +98,7 @@ class Player {
       links: this.service.hasLinks && this.service.links,
       beams: this.service.ranges && this.service.beams,
       cables: this.service.ends && this.service.cables,
+      markers: this.markers.exists && this.markers,
       city: this.world.city,
     };
     for (const name of this.hidden) if (this.layers[name]) this.showLayer(name, false);
@@ -216,7 +220,7 @@ class Player {
     ]);
     const palette = Object.fromEntries(colours);
     this.scene.background = palette.sky;
-    for (const part of [this.world, this.drones, this.service]) part.paint(palette);
+    for (const part of this.parts) part.paint(palette);
     this.plots.draw();
     this.writeKey();
     this.dirty = true;
@@ -266,7 +270,12 @@ class Player {
 
   /** Return the position of a drone on the canvas, pixels; null behind the camera. */
   project(drone) {
-    const at = this.spot.fromArray(this.episode.position, 3 * drone).project(this.view.camera);
+    return this.projectPoint(this.episode.position, 3 * drone);
+  }
+
+  /** Return the place of a position on the canvas, pixels; null behind the camera. */
+  projectPoint(position, from = 0) {
+    const at = this.spot.fromArray(position, from).project(this.view.camera);
     if (at.z > 1) return null;
     return [((1 + at.x) / 2) * this.size[0], ((1 - at.y) / 2) * this.size[1]];
   }
@@ -327,7 +336,7 @@ class Player {
     const pixel = (x, y, z) => this.view.pixelAt(Math.hypot(x - eye.x, y - eye.y, z - eye.z));
     const { chosen, reach, trueSize } = this;
     const moment = { pixel, seconds, chosen, reach, trueSize };
-    for (const part of [this.world, this.drones, this.service]) part.update(moment);
+    for (const part of this.parts) part.update(moment);
     this.renderer.render(this.scene, this.view.camera);
     this.stats.calls = this.renderer.info.render.calls;
     this.stats.pictures += 1;
@@ -352,6 +361,7 @@ class Player {
     if (at)
       byId("tag").style.transform =
         `translate(${(at[0] + 16).toFixed(0)}px, ${(at[1] - 26).toFixed(0)}px)`;
+    this.markers.placeTexts((position) => this.projectPoint(position));
     this.plots.update();
   }
 }
