@@ -160,7 +160,7 @@ def main() -> None:
         _write_response(answers, b"")
         while True:
             poses, exposure, is_list = jobs.recv()
-            result = make_response(exposure, scene.picture(0, poses, exposure.view.shot))
+            result = make_response(exposure, *scene.draw(0, poses, exposure.view.shot))
             _write_response(
                 answers, msgpack.packb(result if is_list else result["image_data_uint8"])
             )

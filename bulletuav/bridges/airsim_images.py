@@ -9,6 +9,7 @@ import numpy as np
 from PIL import Image
 
 from bulletuav.bridges.airsim_cameras import SCENE, AirsimCamera, find_camera
+from bulletuav.bridges.airsim_segmentation import SegmentationColours, find_colours
 from bulletuav.bridges.airsim_values import check_flag, check_text, write_pose
 from bulletuav.bridges.airsim_world import AirsimWorld
 from bulletuav.errors import as_int, shown
@@ -21,22 +22,6 @@ PLANAR, PERSPECTIVE, GREY, SEGMENTATION = 1, 2, 3, 5
 fraction of `MAX_GREY_DEPTH`; segmentation"""
 MAX_FLOATS = 1_500_000
 """Maximum number of pixels of an image of floats, which take 9 bytes each"""
-
-
-def make_label_colour(number: int) -> np.ndarray:
-    """Return the colour of a segmentation id, as PASCAL VOC defines it.
-
-    Args:
-        number: The id, from 0 to 255.
-
-    Returns:
-        (3,) uint8, red, green, blue.
-    """
-    colour = np.zeros(3, dtype=np.uint8)
-    # The lowest bits of the id are the highest ones of red, green and blue
-    for bit in range(8):
-        colour[bit % 3] |= (number >> bit & 1) << (7 - bit // 3)
-    return colour
 
 
 class ImageRequest:
@@ -92,14 +77,14 @@ class CameraView(NamedTuple):
         field_of_view: Horizontal field of view, rad.
         pose: Position and orientation of the camera in AirSim's format.
         time_stamp: Simulated time, ns.
-        label_colours: (5, 3) RGB colours of the segmentation labels.
+        colours: Colours of a segmentation image; None for other image types.
     """
 
     shot: CameraMatrices
     field_of_view: float
     pose: dict[str, Any]
     time_stamp: int
-    label_colours: np.ndarray
+    colours: SegmentationColours | None
 
 
 class Exposure(NamedTuple):
@@ -159,15 +144,17 @@ def _make_view(world: AirsimWorld, i: int | None, request: ImageRequest) -> Came
         swarm, vehicle = world.airspace.swarm, list(world.vehicles.values())[i]
         position, attitude = camera.compute_pose(swarm.position[i], swarm.quaternion[i])
         pose = write_pose(position - vehicle.start, attitude)
-    return CameraView(shot, view, pose, round(world.time * 1e9), world.label_colours)
+    colours = find_colours(world) if request.kind == SEGMENTATION else None
+    return CameraView(shot, view, pose, round(world.time * 1e9), colours)
 
 
-def make_response(exposure: Exposure, picture: Picture) -> dict[str, Any]:
+def make_response(exposure: Exposure, picture: Picture, bodies: np.ndarray) -> dict[str, Any]:
     """Convert a rendered picture to AirSim's ImageResponse.
 
     Args:
         exposure: Request and camera view.
         picture: Rendered picture of that view.
+        bodies: (H, W) body at each pixel; see `VisualScene.draw`.
 
     Returns:
         The map of an ImageResponse.
@@ -188,8 +175,8 @@ def make_response(exposure: Exposure, picture: Picture) -> dict[str, Any]:
     else:
         # Colours, labels, or depths in shades of grey
         pixels = picture.pixels
-        if request.kind == SEGMENTATION:
-            pixels = view.label_colours[picture.labels]
+        if view.colours is not None:
+            pixels = view.colours.paint(picture.labels, bodies)
         elif request.kind != SCENE:
             grey = np.clip(255 * picture.depth / MAX_GREY_DEPTH, 0, 255).astype(np.uint8)
             pixels = np.repeat(grey[:, :, None], 3, axis=2)

@@ -24,7 +24,7 @@ MIN_HEIGHT = -100.0
 MAX_PATTERN, MAX_WILDCARDS = 100, 3
 """Maximum length of a pattern of names, and maximum number of its `*`, `+` and `?`, so that no
 pattern takes long"""
-PATTERN = re.compile(r"[\w .*+?^$\-\[\]]*", re.ASCII)
+PATTERN = re.compile(r"([\w .*+?^$\-\[\]]|\\[wds])*", re.ASCII)
 """Patterns that clients may send: letters, digits, classes of characters, and wildcards"""
 UPRIGHT = (0.0, 0.0, 0.0, 1.0)
 
@@ -81,8 +81,13 @@ def _all_objects(world: AirsimWorld) -> Iterator[tuple[str, SceneObject]]:
         yield "Building", SceneObject(np.zeros(3), UPRIGHT, np.zeros(3), BUILDING)
 
 
-def match_names(names: Iterable[str], pattern: str) -> list[str]:
+def match_names(names: Iterable[str], pattern: str, flags: int = 0) -> list[str]:
     """Return the names that match a regular expression as a whole, as in AirSim.
+
+    Args:
+        names: The names.
+        pattern: Regular expression.
+        flags: Flags of `re`.
 
     Raises:
         ValueError: If the pattern is not one of those that clients may send.
@@ -90,7 +95,7 @@ def match_names(names: Iterable[str], pattern: str) -> list[str]:
     wildcards = sum(pattern.count(sign) for sign in "*+?")
     if len(pattern) <= MAX_PATTERN and PATTERN.fullmatch(pattern) and wildcards <= MAX_WILDCARDS:
         try:
-            compiled = re.compile(pattern)
+            compiled = re.compile(pattern, flags)
         except re.error:
             pass
         else:

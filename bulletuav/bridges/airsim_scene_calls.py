@@ -1,10 +1,10 @@
 """AirSim's calls for the scene: objects, lines of sight, segmentation."""
 
 import math
+import re
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from bulletuav.bridges.airsim_images import make_label_colour
 from bulletuav.bridges.airsim_objects import (
     compute_extents,
     is_visible,
@@ -81,19 +81,25 @@ class SceneCalls:
     def _set_segmentation_id(
         self, mesh_name: str, object_id: int, is_name_regex: bool = False
     ) -> bool:
-        """Set the id of the classes of objects: pictures show classes, not single objects."""
+        """Set the id of objects, whose names are compared without case, as in AirSim.
+
+        Returns:
+            Whether there is such an object.
+        """
         number = as_int("object_id", object_id, 0, 255)
         check_text("mesh_name", mesh_name)
         objects = list_objects(self._world)
         is_regex = check_flag("is_name_regex", is_name_regex)
-        names = match_names(objects, mesh_name) if is_regex else [mesh_name]
-        labels = {objects[name].label for name in names if name in objects}
-        for label in labels:
-            self._world.segmentation_ids[label] = number
-            self._world.label_colours = self._world.label_colours.copy()
-            self._world.label_colours[label] = make_label_colour(number)
-        return bool(labels)
+        if is_regex:
+            names = match_names(objects, mesh_name, re.IGNORECASE)
+        else:
+            names = [name for name in objects if name.lower() == mesh_name.lower()]
+        self._world.segmentation_ids |= dict.fromkeys(names, number)
+        return bool(names)
 
     def _get_segmentation_id(self, mesh_name: str) -> int:
-        found = list_objects(self._world).get(check_text("mesh_name", mesh_name))
-        return -1 if found is None else self._world.segmentation_ids[found.label]
+        """Return the id of an object; -1 if there is no such object, or no id was set."""
+        check_text("mesh_name", mesh_name)
+        names = [one for one in list_objects(self._world) if one.lower() == mesh_name.lower()]
+        ids = self._world.segmentation_ids
+        return next((ids[name] for name in names if name in ids), -1)

@@ -36,10 +36,6 @@ OBJECT_NAMES = re.compile(r"Ground|Building|Obstacle\d+")
 """Names of objects of the scene, which vehicles cannot have"""
 CLEARANCE = 100.0
 """Height above all others at which a new vehicle is created before it is placed, m"""
-LABEL_COLOURS = np.array(
-    [(135, 206, 235), (80, 120, 60), (150, 150, 150), (220, 60, 50), (60, 90, 220)], dtype=np.uint8
-)
-"""Default RGB colours of the labels sky, land, building, obstacle, drone"""
 DEFAULT_NAMES = ("SimpleFlight", "PX4")
 """Names of AirSim's default vehicles, which also mean a single vehicle of another name"""
 
@@ -53,8 +49,7 @@ class AirsimWorld:
         external_cameras: Cameras that stand in the world, by name.
         settings: Settings of the world.
         origin: Geodetic position of the origin of the airspace.
-        segmentation_ids: Segmentation id of each label; -1 before one is set.
-        label_colours: (5, 3) uint8 RGB colours of the labels; replaced, never changed.
+        segmentation_ids: Segmentation ids that were set, by name of the object.
         paused: Whether simulated time stands still.
         markers: Log of the markers that clients plot; None if no replay shows them.
         acceleration: (N, 3) accelerations in the last step, m/s^2, east, north, up.
@@ -101,7 +96,7 @@ class AirsimWorld:
                 f"decision_hz is fixed at {DECISION_HZ} for clients of AirSim: leave it out"
             )
         self.vehicles = {name: self._make_vehicle(name, one) for name, one in vehicles.items()}
-        self.segmentation_ids, self.label_colours = [-1] * len(LABEL_COLOURS), LABEL_COLOURS
+        self.segmentation_ids: dict[str, int] = {}
         self.external_cameras = make_external_cameras(settings.external_cameras)
         # Options of the caller override the defaults and the settings
         wind = {} if settings.wind is None else {"wind": tuple(ned_to_enu(settings.wind).tolist())}
@@ -280,12 +275,12 @@ class AirsimWorld:
                 continue
             hit = vehicle.collision = Collision()
             hit.has_collided, hit.time = True, self.time
-            hit.object_name, hit.object_id = self._get_object_name(other), other
+            hit.object_name, hit.object_id = self.object_name(other), other
             hit.point, hit.normal = contacts.point[k].copy(), normal.copy()
             hit.position = self.airspace.swarm.position[i].copy()
             hit.depth = float(contacts.depth[k])
 
-    def _get_object_name(self, other: int) -> str:
+    def object_name(self, other: int) -> str:
         """Return the name of an object, given its number in `Contacts`."""
         if other >= 0:
             return list(self.vehicles)[other]

@@ -356,7 +356,8 @@ class EngineQueries(ABC):
         if collision not in self._visual_scenes:
             self._visual_scenes[collision] = VisualScene(self.contents, collision)
         scene = self._visual_scenes[collision]
-        return scene.picture(world, self.scene_poses(swarm), shot, mask[world], far)
+        picture, _ = scene.draw(world, self.scene_poses(swarm), shot, mask[world], far)
+        return picture
 
     def picture_by_bullet(self, world: int, shot: CameraMatrices) -> Picture:
         """Render a picture of a world by TinyRenderer, with the drones at their poses in Bullet."""

@@ -23,6 +23,8 @@ FLOOR_COLOUR = (200, 205, 197)
 """Colour of the ground: red, green, blue, from 0 to 255"""
 COLLISION_COLOUR: Colour = (0.98, 0.62, 0.15, 1.0)
 """Colour of the collision shapes of drones"""
+CODE_DIGITS = np.array([1, 256, 65536])
+"""Factors of the red, green and blue of the code of a shape"""
 SAMPLES = 2
 """Number of samples of a pixel's colour in each direction, against jagged edges"""
 
@@ -48,10 +50,19 @@ class ScenePoses(NamedTuple):
 
 
 class _Model(NamedTuple):
-    """Shapes of one world, scaled, and the rasteriser of its pictures."""
+    """Shapes of one world, scaled.
+
+    Attributes:
+        scenery: The shapes.
+        maker: Rasteriser, in whose pictures drones and bodies have their codes as colours.
+        colours: (S, 3) uint8 colour of each part of a drone and each piece of a body.
+        body: (S,) index of the drone of each part, and N + r for piece r of the bodies.
+    """
 
     scenery: Scenery
     maker: PictureMaker
+    colours: np.ndarray
+    body: np.ndarray
 
 
 class VisualScene:
@@ -75,15 +86,15 @@ class VisualScene:
         self._model: _Model | None = None
         self._key: tuple[float, int] = (0.0, 0)
 
-    def picture(
+    def draw(
         self,
         world: int,
         poses: ScenePoses,
         shot: CameraMatrices,
         mask: np.ndarray | None = None,
         far: float = FAR,
-    ) -> Picture:
-        """Draw the picture of a camera in a world.
+    ) -> tuple[Picture, np.ndarray]:
+        """Draw the picture of a camera in a world, and find the bodies in it.
 
         Args:
             world: Index of the world.
@@ -93,8 +104,10 @@ class VisualScene:
             far: Depth that the picture reaches at least, m. That of the sky is not less.
 
         Returns:
-            Colours, averages over each pixel; depths and labels by the ray through the corner of
-            each pixel, as `Engine.pictures` draws them.
+            The picture: colours, averages over each pixel; depths and labels by the ray through the
+            corner of each pixel, as `Engine.pictures` draws them.
+            (H, W) body at each pixel by the same ray: the index of a drone, N + r for piece r of
+            the obstacles and added bodies, and -1 for sky, ground and buildings.
         """
         # The rasteriser draws to the depth FAR: scenes that reach farther are made smaller, by a
         # power of two, so that they are rarely made again
@@ -102,7 +115,7 @@ class VisualScene:
         key = (scale, len(poses.added))
         if self._model is None or key != self._key:
             self._model, self._key = self._build(scale, poses.added), key
-        scenery, maker = self._model
+        scenery, maker, colours, body = self._model
         shown = np.ones(len(self._contents.airframes), dtype=bool) if mask is None else mask
         of_part = poses.quaternion[world, self._owner]
         place = poses.position[world, self._owner] + rotate_vectors(of_part, self._offset)
@@ -121,11 +134,18 @@ class VisualScene:
         )
         camera = _camera(shot, scale)
         maker.draw(scenery, camera, images, drones, shown[None, self._owner], None)
-        _shade(images, tuple(camera.quaternion[0]))
+        # Codes of drones and bodies
+        is_own = np.isin(images.labels, (OBSTACLE, DRONE))
+        codes = images.colours[is_own] @ CODE_DIGITS
+        bodies = np.full(images.labels.shape, -1)
+        bodies[is_own] = body[codes]
+        images.colours[is_own] = colours[codes]
+        _shade(images, is_own, tuple(camera.quaternion[0]))
         # Rays through the corners of pixels
         depth = images.depth[0, SAMPLES - 1 :: SAMPLES, ::SAMPLES] / scale
         labels = images.labels[0, SAMPLES - 1 :: SAMPLES, ::SAMPLES].copy()
-        return Picture(_average(images.colours[0], images.labels[0]), depth, labels)
+        picture = Picture(_average(images.colours[0], images.labels[0]), depth, labels)
+        return picture, bodies[0, SAMPLES - 1 :: SAMPLES, ::SAMPLES].copy()
 
     def _build(self, scale: float, added: Sequence[tuple[Shape, Colour]]) -> _Model:
         """Make the shapes of a world, with lengths multiplied by a factor."""
@@ -151,8 +171,12 @@ class VisualScene:
             restitution=0.0,
         )
         colours = [part.colour for part in self._parts] + [colour for _, colour in bodies]
-        colour = 255 * np.array(colours).reshape(-1, 4)[:, :3]
-        return _Model(scenery, PictureMaker(scenery, layouts, colour))
+        colour = np.clip(255 * np.array(colours).reshape(-1, 4)[:, :3], 0, 255).astype(np.uint8)
+        code = np.arange(len(colours))
+        digits = code[:, None] // CODE_DIGITS % 256
+        drones = len(self._contents.airframes)
+        body = np.append(self._owner, drones + np.arange(len(bodies)))
+        return _Model(scenery, PictureMaker(scenery, layouts, digits), colour, body)
 
 
 def _parts(airframe: Airframe, collision: bool) -> list[VisualShape]:
@@ -204,9 +228,8 @@ def _camera(shot: CameraMatrices, scale: float) -> Cameras:
     )
 
 
-def _shade(images: Images, attitude: Quat4Like) -> None:
+def _shade(images: Images, is_own: np.ndarray, attitude: Quat4Like) -> None:
     """Shade drones, obstacles and bodies by the sun; cities are shaded already."""
-    is_own = np.isin(images.labels, (OBSTACLE, DRONE))
     light = AMBIENT + (1 - AMBIENT) * (images.normals[is_own] @ np.array(to_body(attitude, SUN)))
     images.colours[is_own] = (images.colours[is_own] * light[:, None]).astype(np.uint8)
 

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from bridges.airsim_world_client import FREE, pose, request, vector
 
-from bulletuav.bridges.airsim_images import make_label_colour
+from bulletuav.bridges.airsim_segmentation import LABEL_COLOURS, make_label_colour
 from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.geometry.solids import Solids
+from bulletuav.geometry.view import BUILDING, DRONE, LAND, OBSTACLE
 
 BOX = Obstacle("box", (2.0, 2.0, 2.0))
 
@@ -113,16 +114,55 @@ def test_lines_of_sight_end_at_obstacles_and_vehicles(make_client):
     assert client("simTestLineOfSightToPoint", east, "Drone1") is False
 
 
-def test_segmentation_ids_colour_classes(client):
-    assert client("simGetSegmentationObjectID", "Obstacle0") == -1
-    assert client("simSetSegmentationObjectID", "Obstacle.*", 20, True) is True
-    assert client("simSetSegmentationObjectID", "Cylinder", 20, False) is False
-    assert client("simGetSegmentationObjectID", "Obstacle0") == 20
-    assert client("simGetSegmentationObjectID", "Cylinder") == -1
+def segment(client):
+    """Colours of the pixels of a segmentation image of the first vehicle."""
     (image,) = client("simGetImages", [request("0", 5)], "")
-    pixels = np.frombuffer(image["image_data_uint8"], np.uint8).reshape(144, 256, 3)
-    assert pixels[72, 128, ::-1].tolist() == make_label_colour(20).tolist() == [0, 64, 128]
+    return np.frombuffer(image["image_data_uint8"], np.uint8).reshape(144, 256, 3)[:, :, ::-1]
+
+
+def test_each_object_has_its_own_segmentation_id(make_client):
+    layout = Solids(np.array([[(-60.0, 60, 0), (60, 70, 30)]]))
+    client = make_client(2, obstacles=(BOX, BOX), layout=layout)
+    client.at((0, 0, -5), "Drone1")
+    client.at((6, -2, -5), "Drone2")
+    # Obstacles to the left and to the right of the second vehicle, and a body below them
+    client.world.airspace.place_obstacle(0, (-4.0, 10.0, 5.0))
+    client.world.airspace.place_obstacle(1, (4.0, 10.0, 5.0))
+    client.world.airspace.add_body(BOX, (0.0, 10.0, 1.5))
+    # Classes, before an id is set
+    pixels = segment(client)
+    is_drone = (pixels == LABEL_COLOURS[DRONE]).all(axis=2)
+    rows, columns = map(
+        list, zip((72, 77), (72, 179), (117, 128), (40, 10), (140, 10), strict=True)
+    )
+    classes = [OBSTACLE, OBSTACLE, OBSTACLE, BUILDING, LAND]
+    assert pixels[rows, columns].tolist() == LABEL_COLOURS[classes].tolist()
+    assert is_drone.sum() > 10
+    names = ("Obstacle0", "Obstacle1", "Obstacle2", "Building", "Ground", "Drone2")
+    assert [client("simGetSegmentationObjectID", name) for name in names] == [-1] * 6
+    for number, name in enumerate(names, 20):
+        assert client("simSetSegmentationObjectID", name, number, False) is True
+        assert client("simGetSegmentationObjectID", name) == number
+    wanted = [make_label_colour(number).tolist() for number in range(20, 26)]
+    pixels = segment(client)
+    assert pixels[rows, columns].tolist() == wanted[:5]
+    assert (pixels[is_drone] == wanted[5]).all()
+    assert wanted[0] == [0, 64, 128]
     assert len({tuple(make_label_colour(k)) for k in range(256)}) == 256
+
+
+def test_a_pattern_sets_the_segmentation_ids_of_many_objects(client):
+    client("simAddVehicle", "Other", "SimpleFlight", pose((0, 4, 0)), "")
+    client.world.airspace.place_obstacle(1, (4.0, 10.0, 5.0))
+    # The pattern of AirSim's documentation, which ignores case
+    assert client("simSetSegmentationObjectID", "obst[\\w]*", 9, True) is True
+    assert client("simSetSegmentationObjectID", "GROUND", 8) is True
+    assert client("simSetSegmentationObjectID", "Cylinder", 7, False) is False
+    assert client("simSetSegmentationObjectID", "cyl[\\w]*", 7, True) is False
+    names = ("Obstacle0", "Obstacle1", "ground", "Other", "Cylinder")
+    ids = [client("simGetSegmentationObjectID", name) for name in names]
+    assert ids == [9, 9, 8, -1, -1]
+    assert segment(client)[[72, 72], [128, 179]].tolist() == [make_label_colour(9).tolist()] * 2
 
 
 def test_detections_are_those_of_the_filter(client):
