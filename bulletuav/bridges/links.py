@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from bulletuav.bridges.radio_loss import RadioLoss
 from bulletuav.errors import finite
 
 MAX_DELAY = 10.0
@@ -19,12 +20,12 @@ class LinkQuality(NamedTuple):
     """Quality of the links between drones and clients.
 
     Attributes:
-        loss: Probability that a datagram is lost, in each direction.
+        loss: Probability that a datagram is lost, in each direction; or a model of it.
         delay: Time from sending to receiving, in each direction, simulated s.
         seed: Seed of the losses; None for a random one.
     """
 
-    loss: float = 0.0
+    loss: float | RadioLoss = 0.0
     delay: float = 0.0
     seed: int | None = None
 
@@ -35,7 +36,8 @@ class LinkQuality(NamedTuple):
 
     def check(self) -> None:
         """Raise ValueError if a number is invalid."""
-        finite("loss", self.loss, 0.0, 1.0)
+        if not isinstance(self.loss, RadioLoss):
+            finite("loss", self.loss, 0.0, 1.0)
         finite("delay", self.delay, 0.0, MAX_DELAY)
 
 
@@ -50,15 +52,15 @@ class LossyLink:
     whole steps.
     """
 
-    def __init__(self, quality: LinkQuality, period: float, stream: tuple[int, ...]) -> None:
+    def __init__(self, quality: LinkQuality, period: float, stream: tuple[int, int]) -> None:
         """Initialise without datagrams.
 
         Args:
             quality: Quality of the link.
             period: Duration of a step, s.
-            stream: Numbers that select the random numbers of this link.
+            stream: Index of the drone, and of the direction; they select the random numbers.
         """
-        self._loss = quality.loss
+        self._loss, self._drone = quality.loss, stream[0]
         self._steps = int(np.ceil(quality.delay / period - 1e-9))
         seed = np.random.SeedSequence(quality.seed, spawn_key=stream)
         self._rng = np.random.default_rng(seed)
@@ -66,7 +68,10 @@ class LossyLink:
 
     def put(self, datagram: Datagram, step: int) -> None:
         """Send a datagram at a step."""
-        if self._rng.random() >= self._loss and len(self._waiting) < MAX_WAITING:
+        loss = self._loss
+        if isinstance(loss, RadioLoss):
+            loss = loss.probability(self._drone, len(datagram[0]))
+        if self._rng.random() >= loss and len(self._waiting) < MAX_WAITING:
             self._waiting.append((step + self._steps, datagram))
 
     def has_due(self, step: int) -> bool:

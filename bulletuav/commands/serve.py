@@ -13,9 +13,11 @@ from bulletuav.bridges.crazyflie_fleet import CrazyflieFleet
 from bulletuav.bridges.hil_bodies import HilBodies
 from bulletuav.bridges.links import LinkQuality
 from bulletuav.bridges.mavlink_fleet import MavlinkFleet
+from bulletuav.bridges.radio_loss import STATION, RadioLoss
 from bulletuav.commands.output import print_files
 from bulletuav.commands.progress import show_progress
 from bulletuav.commands.replay import PAGES
+from bulletuav.envs.airspace import Airspace
 from bulletuav.envs.viewer import join_address
 from bulletuav.errors import find_choice, shown
 from bulletuav.report.replay import write_replay
@@ -27,6 +29,7 @@ def run(arguments: argparse.Namespace) -> None:
     given = {
         "loss": (arguments.loss != 0, (_serve_crazyflie, _serve_mavlink)),
         "delay": (arguments.delay != 0, (_serve_crazyflie, _serve_mavlink)),
+        "station": (arguments.station is not None, (_serve_crazyflie, _serve_mavlink)),
         "positions": (
             arguments.positions is not None,
             (_serve_crazyflie, _serve_mavlink, _serve_hil),
@@ -141,9 +144,14 @@ def _drones(arguments: argparse.Namespace) -> int | list[tuple[float, float]]:
     return list(zip(given[::2], given[1::2], strict=True))
 
 
-def _quality(arguments: argparse.Namespace) -> LinkQuality:
+def _quality(arguments: argparse.Namespace, airspace: Airspace) -> LinkQuality:
     """Return losses and delay of the links."""
-    return LinkQuality(arguments.loss, arguments.delay, arguments.seed)
+    loss = arguments.loss
+    if loss == "radio":
+        loss = RadioLoss(airspace, arguments.station or STATION, seed=arguments.seed)
+    elif arguments.station is not None:
+        raise ValueError("--station has no effect without --loss radio: omit it")
+    return LinkQuality(loss, arguments.delay, arguments.seed)
 
 
 def _serve_crazyflie(arguments: argparse.Namespace) -> None:
@@ -152,7 +160,7 @@ def _serve_crazyflie(arguments: argparse.Namespace) -> None:
     _serve(
         fleet,
         lambda: crazyflie.CrazyflieServer(
-            fleet, *_address(arguments, crazyflie.PORT), quality=_quality(arguments)
+            fleet, *_address(arguments, crazyflie.PORT), quality=_quality(arguments, fleet.airspace)
         ),
         lambda server: (
             f"{len(fleet)} drones at {_format_addresses(arguments.host, server.ports, 'udp://')}"
@@ -194,7 +202,10 @@ def _serve_mavlink(arguments: argparse.Namespace) -> None:
     _serve(
         fleet,
         lambda: mavlink.MavlinkServer(
-            fleet, *_address(arguments, mavlink.PORT), clients, quality=_quality(arguments)
+            fleet,
+            *_address(arguments, mavlink.PORT),
+            clients,
+            quality=_quality(arguments, fleet.airspace),
         ),
         lambda server: (
             f"{len(fleet)} vehicles at {_format_addresses(arguments.host, server.ports)}; "

@@ -8,7 +8,7 @@ from typing import overload
 
 import numpy as np
 
-from bulletuav.compiled.functions import log, log1p, log10, power
+from bulletuav.compiled.functions import exp, expm1, log, log1p, log10, power
 from bulletuav.compiled.kernel import elementwise
 
 BOLTZMANN = 1.380649e-23
@@ -56,3 +56,22 @@ def capacity(bandwidth: float, sinr: float | np.ndarray) -> float | np.ndarray:
         sinr: Signal to interference plus noise ratio, linear.
     """
     return bandwidth * log1p(sinr) / log(2.0)
+
+
+@elementwise
+def packet_error(snr: float, bits: float) -> float:
+    """Return the probability that a packet has a bit error, with GFSK and without coding.
+
+    The bit error rate is that of non-coherent binary FSK, exp(-SNR / 2) / 2, where the bit rate is
+    the bandwidth; bit errors are independent.
+
+    Args:
+        snr: Signal to noise ratio, linear.
+        bits: Size of the packet, bit.
+
+    References:
+        J. G. Proakis, M. Salehi, Digital Communications (2008), section 4.5.
+    """
+    bit_error = 0.5 * exp(-0.5 * snr)
+    # Not -0.0
+    return 0.0 - expm1(bits * log1p(-bit_error))

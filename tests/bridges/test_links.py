@@ -1,17 +1,22 @@
 """Losses and delay of links, and start positions, of servers of datagrams."""
 
+import dataclasses
 import itertools
+import math
 import socket
 import time
 
+import numpy as np
 import pytest
 from bridges.mavlink_client import common
 
 from bulletuav.bridges.crazyflie import CrazyflieServer
 from bulletuav.bridges.links import MAX_WAITING, LinkQuality, LossyLink
 from bulletuav.bridges.mavlink import MavlinkServer
+from bulletuav.bridges.radio_loss import RADIO, STATION, RadioLoss
 from bulletuav.bridges.sockets import MAX_UNDELIVERED
 from bulletuav.cli import main
+from bulletuav.geometry.solids import Solids
 from bulletuav.serving.connections import ConnectionLimits
 
 PERIOD = 0.01
@@ -136,9 +141,105 @@ def test_a_late_server_without_deliveries_flies_on(make_vehicles):
     server.close()
 
 
+CALM = dataclasses.replace(RADIO, fading="none")
+"""The default radio without fading"""
+WALL = Solids(np.array([[(-50.0, 40, 0), (50, 41, 30)]]))
+"""A building to the north of the station"""
+
+
+@pytest.fixture
+def radio_loss(make_vehicles):
+    """Makes the losses of a vehicle that is at a place."""
+
+    def make(place, config=CALM, station=STATION, seed=0, **options):
+        fleet = make_vehicles(1, **options)
+        fleet.airspace.place(0, place)
+        return RadioLoss(fleet.airspace, station, config, seed)
+
+    return make
+
+
+def test_losses_are_those_of_the_radio_model(radio_loss):
+    """Friis, thermal noise and non-coherent FSK, in decibels and by hand."""
+    power, noise = 20.0, -174.0 + 10 * math.log10(2e6) + 18.0
+    for distance in (1150.0, 1300.0, 1450.0):
+        loss = radio_loss((0.0, distance, 1.5))
+        path = 20 * math.log10(4 * math.pi * distance * 2.4e9 / 299792458)
+        snr = 10 ** ((power - path - noise) / 10)
+        error = 1 - (1 - math.exp(-snr / 2) / 2) ** (8 * 40)
+        assert 0.01 < error < 0.99
+        assert loss.probability(0, 40) == pytest.approx(error, abs=0.02)
+        # More bits, more losses
+        assert loss.probability(0, 80) > loss.probability(0, 40) > loss.probability(0, 20)
+
+
+def test_losses_grow_with_the_distance_and_behind_buildings(make_vehicles):
+    fleet = make_vehicles(1, layout=WALL)
+    loss = RadioLoss(fleet.airspace, config=CALM)
+    chances = []
+    for distance in (10, 30, 60, 80, 90, 100, 120, 1000):
+        fleet.airspace.place(0, (0.0, distance, 5.0))
+        fleet.airspace.step()
+        chances.append(loss.probability(0, 40))
+    assert chances == sorted(chances)
+    assert chances[1] < 1e-9
+    assert chances[-1] > 0.99
+    # Above the roof is a line of sight
+    fleet.airspace.place(0, (0.0, 250.0, 300.0))
+    fleet.airspace.step()
+    assert loss.probability(0, 40) < 1e-9
+    # The station may stand elsewhere
+    other = RadioLoss(fleet.airspace, (0.0, 240.0, 2.0), CALM)
+    fleet.airspace.place(0, (0.0, 250.0, 5.0))
+    fleet.airspace.step()
+    assert other.probability(0, 40) < 1e-9
+    assert loss.probability(0, 40) > 0.9
+
+
+def test_fading_is_drawn_in_each_step_and_repeats(radio_loss):
+    def draw(seed):
+        loss = radio_loss((0.0, 1000.0, 1.5), RADIO, seed=seed)
+        drawn = []
+        for _ in range(20):
+            loss._airspace.step()
+            drawn.append(loss.probability(0, 40))
+            assert loss.probability(0, 40) == drawn[-1]
+        return drawn
+
+    first = draw(1)
+    assert len(set(first)) == 20
+    assert draw(1) == first
+    assert draw(2) != first
+
+
+def test_datagrams_are_lost_by_the_radio_model(radio_loss):
+    near = carry(LinkQuality(radio_loss((0.0, 10.0, 1.5)), seed=0), 300)
+    assert len(near) == 300
+    loss = radio_loss((0.0, 1700.0, 1.5))
+    arrived = carry(LinkQuality(loss, seed=0), 3000)
+    # Most numbers have three or four digits
+    assert loss.probability(0, 3) - 0.03 < 1 - len(arrived) / 3000 < loss.probability(0, 4) + 0.03
+
+
+@pytest.mark.parametrize("place", [(0.0, 0.0, 0.0), (0.0, 0.0), (0.0, 0.0, math.nan)])
+def test_stations_that_cannot_be_are_refused(place, make_vehicles):
+    with pytest.raises(ValueError, match="station"):
+        RadioLoss(make_vehicles(1).airspace, place)
+
+
+def test_servers_lose_datagrams_by_the_radio_model(capsys):
+    words = ["--loss", "radio", "--station", "0", "0", "2", "--port", "0", "--seconds", "0.1"]
+    for kind in ("crazyflie", "mavlink"):
+        main(["serve", kind, *words, "--seed", "0"])
+        assert "127.0.0.1" in capsys.readouterr().out
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [
+        (["mavlink", "--station", "1", "2", "3"], "--station has no effect without --loss radio"),
+        (["mavlink", "--loss", "wire"], "wire: a number, or radio, is needed"),
+        (["airsim", "--loss", "radio"], "--loss has no effect on airsim: omit it"),
         (["airsim", "--loss", "0.1"], "--loss has no effect on airsim: omit it"),
         (["hil", "--delay", "0.1"], "--delay has no effect on hil: omit it"),
         (["crazyflie", "--pictures", "."], "--pictures has no effect on crazyflie: omit it"),

@@ -19,6 +19,7 @@ ABOUT = {
   bulletuav serve airsim --replay flight.html
   bulletuav serve mavlink --drones 3
   bulletuav serve mavlink --loss 0.1 --delay 0.05
+  bulletuav serve mavlink --loss radio --station 100 0 2
   bulletuav serve hil --wind 3 0 0""",
 }
 
@@ -38,6 +39,14 @@ def _client_port() -> str:
     from bulletuav.bridges.mavlink import CLIENT_PORT
 
     return f"mavlink: port of the client of the first vehicle (default: {CLIENT_PORT})"
+
+
+def _parse_loss(text: str) -> float | str:
+    """Return a probability, or "radio"."""
+    try:
+        return text if text == "radio" else float(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text}: a number, or radio, is needed") from None
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -72,9 +81,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--loss",
-        type=float,
+        type=_parse_loss,
         default=0.0,
-        help="crazyflie, mavlink: probability that a datagram is lost, each way (default: 0)",
+        metavar="LOSS",
+        help="crazyflie, mavlink: probability that a datagram is lost, each way; or 'radio': from "
+        "the radio model, by distance and line of sight (default: 0)",
+    )
+    parser.add_argument(
+        "--station",
+        type=float,
+        nargs=3,
+        metavar=("EAST", "NORTH", "UP"),
+        help="--loss radio: antenna of the ground station in m (default: 0 0 1.5)",
     )
     parser.add_argument(
         "--delay",
