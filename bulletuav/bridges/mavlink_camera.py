@@ -85,11 +85,11 @@ class MavlinkCamera:
             return []
         # COMMAND_INT has the same first four parameters, which are all that are used
         params = [getattr(message, f"param{k}") for k in range(1, 5)]
-        replies: list[OutgoingMessage] = []
         try:
             replies, result = self._run(message.command, params), CommandResult.ACCEPTED
         except RefusedError as error:
-            result = error.result
+            reason = text(str(error))._replace(component=CAMERA_COMPONENT)
+            replies, result = [reason], error.result
         ack = ("command_ack", (message.command, result, 0, 0, *sender[:2]), CAMERA_COMPONENT)
         return [OutgoingMessage(*ack), *replies]
 

@@ -26,6 +26,7 @@ INFO = 6
 """Severity of an information"""
 UNSET_INT32 = 2**31 - 1
 AUTOPILOT_VERSION, HOME_POSITION = 148, 242
+GIMBAL_MANAGER_INFORMATION, GIMBAL_DEVICE_INFORMATION = 280, 283
 DEFAULT_ORBIT_SPEED, MAX_ORBIT_RADIUS = 1.0, 1000.0
 """Speed of an orbit without one (m/s), and maximum radius (m), as in PX4"""
 CALIBRATIONS = {(1, 1): "gyro", (2, 1): "mag", (5, 1): "accel", (5, 2): "level"}
@@ -330,8 +331,13 @@ def _get_interval(
 def _request_message(
     vehicle: MavlinkVehicle, streams: TelemetryRates, request: CommandRequest
 ) -> Sequence[OutgoingMessage]:
-    """Return a message once."""
-    return (make_message(vehicle, request.get_int(1)),)
+    """Return a message once; information about the gimbal manager after that about its device.
+
+    MAVSDK 3 requests both, but logs that the latter is missing unless it arrives first.
+    """
+    number = request.get_int(1)
+    first = [GIMBAL_DEVICE_INFORMATION] if number == GIMBAL_MANAGER_INFORMATION else []
+    return [make_message(vehicle, one) for one in (*first, number)]
 
 
 def _make_message_handler(number: int) -> CommandHandler:

@@ -409,6 +409,19 @@ def point(station, pitch=NAN, yaw=NAN, pitch_rate=NAN, yaw_rate=NAN, flags=0):
     return station.command(1000, pitch, yaw, pitch_rate, yaw_rate, flags, 0, 1)[0]
 
 
+def test_the_gimbal_is_described_with_one_request(station):
+    """MAVSDK 3 asks for the manager first, and warns if that arrives before the device."""
+    result, (device, manager) = station.command(512, 280)
+    assert result == ACCEPTED
+    assert manager.get_type() == "GIMBAL_MANAGER_INFORMATION"
+    assert manager.cap_flags & common.GIMBAL_MANAGER_CAP_FLAGS_HAS_YAW_LOCK
+    assert device.get_type() == "GIMBAL_DEVICE_INFORMATION"
+    assert device.gimbal_device_id == manager.gimbal_device_id == 1
+    assert (device.vendor_name, device.model_name) == ("bulletuav", "gimbal")
+    assert (device.pitch_min, device.pitch_max) == (manager.pitch_min, manager.pitch_max)
+    assert [one.get_type() for one in station.command(512, 283)[1]] == [device.get_type()]
+
+
 def test_the_gimbal_points_turns_and_keeps_its_limits(station):
     assert point(station, -30.0, 90.0) == ACCEPTED
     assert gimbal_angles(station) == pytest.approx((-30, 90), abs=0.01)
@@ -533,7 +546,9 @@ def test_pictures_are_taken_at_an_interval_until_they_are_stopped(camera, tmp_pa
     station.fly(2.0)
     assert len(list(tmp_path.iterdir())) == 5
     for fields in ((0.1, 3), (NAN, 3), (1.0, -1), (1.0, 1e9), (1.0, NAN), (1.0, 1.5)):
-        assert command(2000, 0, *fields)[0] == DENIED
+        result, (reply,) = command(2000, 0, *fields)
+        assert (result, reply.get_srcComponent()) == (DENIED, CAMERA)
+        assert "is needed" in reply.text
 
 
 def test_pictures_of_earlier_starts_are_kept(make_vehicles, tmp_path):
