@@ -91,12 +91,29 @@ def make_cameras(
         airframe: Airframe of the vehicle.
         defaults: Settings of cameras that the vehicle does not list.
         own: Settings of the vehicle's cameras by name or number.
+
+    Raises:
+        ValueError: If two names are those of the same camera.
     """
-    listed = {CAMERA_NUMBERS.get(name, name): one for name, one in own.items()}
+    listed: dict[str, CameraSettings] = {}
+    for given, one in own.items():
+        name = resolve_name(given)
+        if name in listed:
+            raise ValueError(
+                f"camera {shown(given)} is listed twice, as it is {shown(name)}: leave one out"
+            )
+        listed[name] = one
     return {
         name: _make_camera(airframe, CAMERA_YAWS.get(name, 0.0), listed.get(name, defaults))
         for name in dict.fromkeys([*CAMERA_YAWS, *listed])
     }
+
+
+def resolve_name(name: str) -> str:
+    """Return the name of a camera: numbers and dashes are other names of AirSim's five."""
+    plain = name.replace("-", "_")
+    plain = CAMERA_NUMBERS.get(plain, plain)
+    return plain if plain in CAMERA_YAWS else name
 
 
 def make_external_cameras(settings: Mapping[str, CameraSettings]) -> dict[str, AirsimCamera]:
@@ -135,14 +152,14 @@ def _make_camera(airframe: Airframe, yaw: float | None, settings: CameraSettings
 
 
 def find_camera(cameras: Mapping[str, AirsimCamera], name: str) -> AirsimCamera:
-    """Return a camera by its name or number.
+    """Return a camera by its name or number; dashes also stand for underscores.
 
     Raises:
         ValueError: If there is no such camera.
     """
     # Names of external cameras are those of the file, and may be numbers
-    plain = name if name in cameras else name.replace("-", "_")
-    found = cameras.get(plain, cameras.get(CAMERA_NUMBERS.get(plain, plain)))
+    names = (name, name.replace("-", "_"), resolve_name(name))
+    found = next((cameras[one] for one in names if one in cameras), None)
     if found is None:
         if not cameras:
             raise ValueError(

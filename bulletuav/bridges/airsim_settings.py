@@ -408,8 +408,7 @@ def _read_vehicle(
         yaw=part.number("Yaw", 0.0, -360.0, 360.0),
         is_armed=state == STATES[0],
         cameras={
-            name.replace("-", "_"): _read_camera(one, cameras)
-            for name, one in part.sections("Cameras").items()
+            name: _read_camera(one, cameras) for name, one in part.sections("Cameras").items()
         },
         sensors=_read_sensors(part, "Sensors", sensors),
     )

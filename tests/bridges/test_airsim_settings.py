@@ -206,6 +206,31 @@ def test_cameras_in_the_world_see_the_vehicle():
     world.close()
 
 
+def make_vehicle_with_cameras(*names):
+    cameras = {name: {"X": k + 1} for k, name in enumerate(names)}
+    return AirsimWorld(settings=parse_settings({"Vehicles": {"Ann": {"Cameras": cameras}}}))
+
+
+def test_cameras_whose_names_differ_by_a_dash_are_different():
+    names = ("a-b", "a_b", "front-center")
+    world = make_vehicle_with_cameras(*names)
+    call = AirsimCalls(world).call
+
+    def forward(name):
+        return call("simGetCameraInfo", [name, ""])["pose"]["position"]["x_val"]
+
+    assert [forward(name) for name in names] == pytest.approx([1, 2, 3])
+    # AirSim's own cameras have other names, too
+    assert [forward(name) for name in ("front_center", "0")] == pytest.approx([3, 3])
+    world.close()
+
+
+@pytest.mark.parametrize("names", [("front-center", "front_center"), ("front_left", "2")])
+def test_a_camera_that_is_listed_twice_is_an_error(names):
+    with pytest.raises(ValueError, match="is listed twice, as it is 'front_.*': leave one out"):
+        make_vehicle_with_cameras(*names)
+
+
 def test_cameras_in_the_world_have_any_names():
     names = ["cam-1", "cam_2", "0", "front-center"]
     cameras = {name: {"X": k + 1} for k, name in enumerate(names)}
