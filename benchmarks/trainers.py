@@ -150,6 +150,59 @@ def torchrl(task: str, worlds: int, options: dict[str, Any]) -> Step:
     return tensors(DroneTensorEnv(task, worlds, **options))
 
 
+def torchrl_rollout(task: str, worlds: int, options: dict[str, Any]) -> Step:
+    """Fly rollouts of TorchRL with random actions, one after the other."""
+    from bulletuav.adapters.torchrl import DroneTensorEnv
+
+    return rollouts(DroneTensorEnv(task, worlds, **options))
+
+
+def torchrl_fixed(task: str, worlds: int, options: dict[str, Any]) -> Step:
+    """Make rollouts of an environment that copies fixed tensors: what TorchRL itself takes."""
+    from torchrl.envs import EnvBase
+
+    from bulletuav.adapters.torchrl import DroneTensorEnv
+
+    flown = DroneTensorEnv(task, worlds, **options)
+    first = flown.reset()
+    after = flown.rand_step(first.clone())["next"]
+
+    class FixedEnv(EnvBase):
+        rand_action = staticmethod(flown.rand_action)
+
+        def _reset(self, tensordict: Any = None, **_: Any) -> Any:
+            return first.clone()
+
+        def _step(self, tensordict: Any) -> Any:
+            return after.clone()
+
+        def _set_seed(self, seed: int | None) -> None:
+            pass
+
+    env = FixedEnv(batch_size=flown.batch_size)
+    for name in ("action", "observation", "reward", "done"):
+        setattr(env, f"full_{name}_spec", getattr(flown, f"full_{name}_spec").clone())
+    return rollouts(env)
+
+
+def rollouts(env: Any) -> Step:
+    """Make rollouts, each of which starts where the one before has ended."""
+    import torch
+
+    torch.set_num_threads(1)
+    env.set_seed(0)
+    flight = [env.reset()]
+
+    def step() -> int:
+        flown = env.rollout(
+            ROLLED, tensordict=flight[0], auto_reset=False, break_when_any_done=False
+        )
+        flight[0] = env.step_mdp(flown[:, -1])
+        return ROLLED
+
+    return step
+
+
 def torchrl_state(task: str, worlds: int, options: dict[str, Any]) -> Step:
     """Fly it with the global state."""
     from bulletuav.adapters.torchrl import DroneTensorEnv
@@ -273,6 +326,8 @@ def sampler(kind: Any, config: Any, worlds: int) -> Step:
     return step
 
 
+ROLLED = 64
+"""Decisions of a rollout"""
 SAMPLED = 16
 """Decisions that a runner collects at a time"""
 CASES = {
@@ -282,6 +337,8 @@ CASES = {
     "gymnasium,vector": gymnasium_vector,
     "sb3": stable_baselines3,
     "torchrl": torchrl,
+    "torchrl, rollout": torchrl_rollout,
+    "torchrl, fixed tensors": torchrl_fixed,
     "torchrl, state": torchrl_state,
     "benchmarl": benchmarl,
     "pymarl": pymarl,

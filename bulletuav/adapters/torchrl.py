@@ -10,7 +10,7 @@ A drone whose episode has ended is absent until its whole world is reset. Meanwh
 False, its observation and reward are zero, its "done" stays True, and its actions are ignored.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -28,7 +28,7 @@ from bulletuav.tasks.observations.observer import Observation
 
 try:
     import torch
-    from tensordict import TensorDictBase
+    from tensordict import TensorDict, TensorDictBase
     from torchrl.data import Bounded, Categorical, Composite, OneHot, Unbounded
     from torchrl.envs import EnvBase
     from torchrl.envs.utils import MarlGroupMapType, check_marl_grouping
@@ -38,14 +38,16 @@ except ImportError:
 
 ENDS = ("done", "terminated", "truncated")
 """Entries of ends of episodes, for each drone and for the whole world"""
-STATE = ("state",)
-"""Key of the global state, which belongs to no group"""
 PROCESSES = ("workers", "start_method", "timeout")
 """Options of `batch_env` that are not options of the environment"""
 
 
-Arrays = dict[tuple[str, ...], np.ndarray]
-"""Arrays (W, N, ...) of drones by their key in a group"""
+PRESET = frozenset({"next", "_step"})
+"""Entries that change a step of TorchRL"""
+REPLACED = frozenset({"_compiled_step_and_maybe_reset", "_post_step_mdp_hooks"})
+"""Attributes that change a step of TorchRL"""
+Arrays = dict[str, Any]
+"""Arrays (W, N, ...) of drones by their key in a group, or dicts of such arrays"""
 
 
 class DroneTensorEnv(Environment, EnvBase):  # type: ignore[misc]  # has no types
@@ -130,7 +132,14 @@ class DroneTensorEnv(Environment, EnvBase):  # type: ignore[misc]  # has no type
             for group, own in rows.items()
         }
         self._make_specs(spec, rows)
-        self._make_buffers()
+        if not chooses:
+            # Not a method: TorchRL rejects transforms of actions if a class overrides `rand_action`
+            self.rand_action = _random_actions(self.full_action_spec)
+        # Arrays of the last step or reset, which resets of some worlds keep for the others
+        self._last: Arrays = {}
+        self._ends = np.empty((4, num_worlds, drones, 1), bool)
+        self._world_ends = np.empty((3, num_worlds, 1), bool)
+        self._write_ends()
 
     def _make_specs(self, spec: EnvSpec, groups: dict[str, list[int]]) -> None:
         """Set the specs: shape and type of each entry."""
@@ -160,20 +169,6 @@ class DroneTensorEnv(Environment, EnvBase):  # type: ignore[misc]  # has no type
         self.full_observation_spec_unbatched = seen
         self.full_reward_spec_unbatched = reward
         self.full_done_spec_unbatched = done
-
-    def _make_buffers(self) -> None:
-        """Allocate the tensors of a step, which steps overwrite and return copies of."""
-        specs = (self.full_observation_spec, self.full_done_spec, self.full_reward_spec)
-        seen, done, reward = (one.zero().cpu() for one in specs)
-        self._first = seen.update(done)
-        # Nested data are copied, tensors are shared
-        self._next = self._first.copy().update(reward)
-        if self.device is None:
-            self._first, self._next = self._first.clear_device_(), self._next.clear_device_()
-        self._views = {
-            key if isinstance(key, tuple) else (key,): tensor.numpy()
-            for key, tensor in self._next.items(include_nested=True, leaves_only=True)
-        }
 
     def _flag(self, *shape: int) -> Categorical:
         """Return a spec of bools."""
@@ -228,11 +223,12 @@ class DroneTensorEnv(Environment, EnvBase):  # type: ignore[misc]  # has no type
         self._alive = self.batch.alive
         # Absent drones have ended
         self._terminated |= worlds[:, None] & ~self._alive
-        # Other worlds keep the last values
-        chosen = slice(None) if worlds.all() else worlds
-        self._write(self._collect_arrays(observations, info, self._alive), chosen)
+        arrays = self._collect_arrays(observations, info, self._alive)
+        if not worlds.all():
+            _keep(arrays, self._last, ~worlds)
+        self._last = arrays
         self._write_ends()
-        return self._copied(self._first)
+        return self._make_tensors(arrays)
 
     def _reset_proc_data(
         self, tensordict: TensorDictBase | None, tensordict_reset: TensorDictBase
@@ -242,6 +238,10 @@ class DroneTensorEnv(Environment, EnvBase):  # type: ignore[misc]  # has no type
             return tensordict_reset
         tensordict.pop("_reset", None)
         return tensordict.update(tensordict_reset)
+
+    def _step_proc_data(self, next_tensordict_out: TensorDictBase) -> TensorDictBase:
+        """Return the data of a step unchanged: shapes and types are those of the specs."""
+        return next_tensordict_out
 
     @classmethod
     def _complete_done(cls, done_spec: Composite, data: TensorDictBase) -> TensorDictBase:
@@ -264,16 +264,42 @@ class DroneTensorEnv(Environment, EnvBase):  # type: ignore[misc]  # has no type
         observations, rewards, terminated, truncated, info = self.batch.step(
             self._actions(tensordict)
         )
-        self._write(
-            {("reward",): rewards[..., None], **self._collect_arrays(observations, info, flown)}
-        )
+        self._last = self._collect_arrays(observations, info, flown)
         if terminated.any() or truncated.any():
             # Ends persist until the reset, while the episodes of other drones continue
             self._terminated = self._terminated | terminated
             self._truncated = self._truncated | truncated
             self._alive = self.batch.alive
             self._write_ends()
-        return self._copied(self._next)
+        return self._make_tensors({**self._last, "reward": _numbers(rewards)})
+
+    def step_and_maybe_reset(
+        self, tensordict: TensorDictBase
+    ) -> tuple[TensorDictBase, TensorDictBase]:
+        """Step all worlds, and reset those that are done; see `EnvBase.step_and_maybe_reset`.
+
+        The data of the next decision are made from those of the step without searches by key.
+        """
+        if (
+            type(tensordict) is not TensorDict
+            or tensordict.device != self.device
+            or not PRESET.isdisjoint(tensordict.keys())
+            or not REPLACED.isdisjoint(self.__dict__)
+        ):
+            usual: tuple[TensorDictBase, TensorDictBase] = super().step_and_maybe_reset(tensordict)
+            return usual
+        entries = _shallow_copy(tensordict)
+        stepped = self._step(tensordict)
+        tensordict.set("next", stepped)
+        for key, one in stepped.items():
+            if key in self._rows:
+                # Other entries of the caller, such as actions, stay
+                own = {**dict(entries[key].items()), **_shallow_copy(one)}
+                del own["reward"]
+                one = TensorDict._new_unsafe(own, batch_size=one.batch_size, device=self.device)
+            entries[key] = one
+        data = TensorDict._new_unsafe(entries, batch_size=self.batch_size, device=self.device)
+        return tensordict, self.maybe_reset(data)
 
     def _actions(self, tensordict: TensorDictBase) -> np.ndarray:
         """Collect the actions of all groups: (W, N, A), or (W, N) discrete."""
@@ -290,54 +316,49 @@ class DroneTensorEnv(Environment, EnvBase):  # type: ignore[misc]  # has no type
         self, observations: Observation, info: dict[str, Any], flown: np.ndarray
     ) -> Arrays:
         """Collect the arrays of all worlds, with zeros for drones not in `flown` (W, N)."""
-        arrays: Arrays
-        if isinstance(observations, dict):
-            arrays = {("observation", name): array for name, array in observations.items()}
-        else:
-            arrays = {("observation",): observations}
-        for name in self._infos:
-            arrays["info", name] = find_choice("info", name, info)[..., None]
+        arrays: Arrays = {"observation": observations}
+        if self._infos:
+            arrays["info"] = {
+                name: _numbers(find_choice("info", name, info)) for name in self._infos
+            }
         if not flown.all():
             # In place: no other code uses these arrays
-            for array in arrays.values():
-                array[~flown] = 0
+            _clear(arrays, ~flown)
         if self._has_masks:
-            arrays[ACTION_MASK,] = info[ACTION_MASK]
+            arrays[ACTION_MASK] = info[ACTION_MASK].astype(bool)
         return arrays
 
-    def _write(self, arrays: Arrays, worlds: Any = ...) -> None:
-        """Write arrays (W, N, ...) of drones, and the state, for some worlds or all."""
-        views = self._views
-        for group, rows in self._rows.items():
-            for key, array in arrays.items():
-                view = views[(group, *key)]
-                # A group may observe fewer numbers than others
-                view[worlds] = array[worlds][:, rows, ..., : view.shape[-1]]
-        if self._has_state:
-            views[STATE][worlds] = self.batch.state()[worlds]
-
     def _write_ends(self) -> None:
-        """Write the ends of the episodes of drones and worlds, and the masks of active drones."""
+        """Write the ends of drones and worlds, as ordered in `ENDS`, and the active drones."""
         over: np.ndarray = ~np.any(self._alive, axis=1)
         terminated: np.ndarray = np.all(self._terminated, axis=1)
-        whole = (over, terminated, over & ~terminated)
-        of_drones = (~self._alive, self._terminated, self._truncated)
-        for name, of_worlds, own in zip(ENDS, whole, of_drones, strict=True):
-            self._views[name,][:, 0] = of_worlds
-            for group, rows in self._rows.items():
-                self._views[group, name][..., 0] = own[:, rows]
-        for group, rows in self._rows.items():
-            self._views[group, "mask"][:] = self._alive[:, rows]
+        self._world_ends[..., 0] = over, terminated, over & ~terminated
+        self._ends[..., 0] = ~self._alive, self._terminated, self._truncated, self._alive
 
-    def _copied(self, data: TensorDictBase) -> TensorDictBase:
-        """Return a copy of data on the device of the environment, which belongs to the caller."""
+    def _make_tensors(self, arrays: Arrays) -> TensorDictBase:
+        """Return new tensors of arrays and ends, which belong to the caller."""
+        entries = dict(zip(ENDS, torch.from_numpy(self._world_ends.copy()).unbind(0), strict=True))
+        if self._has_state:
+            entries["state"] = torch.from_numpy(self.batch.state())
+        for group, rows in self._rows.items():
+            own = _copied(arrays, rows)
+            # One copy of all ends takes less time than four
+            *ends, active = torch.from_numpy(self._ends[:, :, rows].copy()).unbind(0)
+            own.update(zip(ENDS, ends, strict=True), mask=active.squeeze(-1))
+            if self._widths[group] is not None:
+                # A group may observe fewer numbers than others
+                own["observation"] = own["observation"][..., : self._widths[group]].contiguous()
+            size = torch.Size((self.num_worlds, len(self.group_map[group])))
+            # Without checks of shapes and types, which take longer than the copies
+            entries[group] = TensorDict._new_unsafe(own, batch_size=size)
+        data = TensorDict._new_unsafe(entries, batch_size=self.batch_size)
+        if self.device is not None:
+            data = data.to(self.device)
         if self._has_masks:
             for group in self._rows:
-                valid = data.get((group, ACTION_MASK)).to(self.device, copy=True)
+                valid = data.get((group, ACTION_MASK)).clone()
                 self.full_action_spec[group, "action"].update_mask(valid)
-        if self.device is None or self.device.type == "cpu":
-            return data.clone()
-        return data.to(self.device)
+        return data
 
     def render(self, world: int = 0) -> np.ndarray | None:
         """Render an image of one world; see `BatchAviary.render`."""
@@ -376,6 +397,64 @@ def _index(rows: list[int]) -> Any:
     """Return an index of drones: a slice, which avoids copies, if they are consecutive."""
     side_by_side = rows == list(range(rows[0], rows[-1] + 1))
     return slice(rows[0], rows[-1] + 1) if side_by_side else np.array(rows)
+
+
+def _random_actions(spec: Composite) -> Callable[..., TensorDictBase]:
+    """Return a function that sets random actions, equal to those of the spec in less time."""
+    spaces = {group: own["action"].space for group, own in spec.items()}
+    low = torch.cat([one.low.flatten() for one in spaces.values()])
+    high = torch.cat([one.high.flatten() for one in spaces.values()])
+    span = high - low
+    shapes = {group: one.low.shape for group, one in spaces.items()}
+    sizes = [one.low.numel() for one in spaces.values()]
+    empty = spec.zero()
+
+    def rand_action(tensordict: TensorDictBase | None = None) -> TensorDictBase:
+        drawn: Any = torch.rand_like(low).mul_(span).add_(low)
+        # Rounding may leave the bounds
+        torch.clamp(drawn, low, high, out=drawn)
+        data = empty.copy() if tensordict is None else tensordict
+        for (group, shape), own in zip(shapes.items(), drawn.split(sizes), strict=True):
+            data.set((group, "action"), own.view(shape))
+        return data
+
+    return rand_action
+
+
+def _shallow_copy(data: TensorDictBase) -> dict[str, Any]:
+    """Return the entries of data, with copies of nested data that share their tensors."""
+    return {key: one if isinstance(one, torch.Tensor) else one.copy() for key, one in data.items()}
+
+
+def _numbers(array: np.ndarray) -> np.ndarray:
+    """Return numbers (W, N) as float32 (W, N, 1)."""
+    return array.astype(np.float32)[..., None]
+
+
+def _copied(arrays: Arrays, rows: Any) -> dict[str, Any]:
+    """Return tensors that are copies of some drones' rows of arrays (W, N, ...)."""
+    return {
+        key: _copied(one, rows) if isinstance(one, dict) else torch.from_numpy(one[:, rows].copy())
+        for key, one in arrays.items()
+    }
+
+
+def _clear(arrays: Arrays, drones: np.ndarray) -> None:
+    """Set the values of drones (W, N) bool to zero."""
+    for one in arrays.values():
+        if isinstance(one, dict):
+            _clear(one, drones)
+        else:
+            one[drones] = 0
+
+
+def _keep(arrays: Arrays, last: Arrays, worlds: np.ndarray) -> None:
+    """Set the values of worlds (W,) bool to the last ones, which are zeros if there are none."""
+    for key, one in arrays.items():
+        if isinstance(one, dict):
+            _keep(one, last.get(key, {}), worlds)
+        else:
+            one[worlds] = last[key][worlds] if key in last else 0
 
 
 def _action_spec(action: Action, rows: list[int], one_hot: bool) -> Any:

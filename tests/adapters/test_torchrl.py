@@ -6,6 +6,8 @@ import sys
 import numpy as np
 import pytest
 import torch
+from tensordict import TensorDict
+from torchrl.envs import ActionDiscretizer, EnvBase, TransformedEnv
 from torchrl.envs.libs.pettingzoo import PettingZooWrapper
 from torchrl.envs.utils import check_env_specs
 
@@ -321,6 +323,47 @@ def test_discrete_actions_are_numbers_or_one_hot():
     )
     numbers.close()
     hot.close()
+
+
+@pytest.mark.parametrize("options", [{}, MIXED | {"task": "free_flight"}], ids=["equal", "mixed"])
+def test_random_actions_are_those_of_the_spec(options):
+    options = {"task": "crossing", **SHORT, **options}
+    env = DroneTensorEnv(options.pop("task"), 2, **options)
+    for data in (None, env.reset()):
+        torch.manual_seed(3)
+        drawn = env.rand_action(data)
+        torch.manual_seed(3)
+        expected = EnvBase.rand_action(env, None if data is None else env.reset())
+        assert drawn.batch_size == expected.batch_size
+        assert all(torch.equal(drawn[key], expected[key]) for key in env.action_keys)
+    # Transforms may change the actions
+    turned = TransformedEnv(env, ActionDiscretizer(3, action_key=env.action_keys[0]))
+    turned.rand_action(turned.reset())
+    env.close()
+
+
+@pytest.mark.parametrize("options", [{}, {"observation_format": "dict", "infos": ("success",)}])
+def test_steps_of_rollouts_are_those_of_torchrl(options):
+    """Entries of a policy stay until it replaces them, as in TorchRL's own function."""
+    flown = []
+    for step in (DroneTensorEnv.step_and_maybe_reset, EnvBase.step_and_maybe_reset):
+        env = DroneTensorEnv("converge", 2, **BREAK | options)
+        torch.manual_seed(1)
+        env.set_seed(0)
+        data, steps = env.reset(), []
+        data["drones", "memory"], data["count"] = torch.zeros(2, 3, 4), torch.zeros(2)
+        data["own"] = TensorDict({"number": torch.ones(2)}, [2])
+        for _ in range(70):
+            done, after = step(env, env.rand_action(data))
+            steps.append(done.clone())
+            after["own"]["number"] += 1  # in place, and in the step before, too
+            after["own"]["further"] = torch.zeros(2)
+            assert set(done["own"].keys()) == {"number"}
+            data = after.exclude(("own", "further"))
+        flown.append(torch.stack(steps, 1))
+        env.close()
+    assert flown[0]["next", "done"].any()
+    assert same(*flown)
 
 
 def test_rollouts_break_at_the_first_or_the_last_end():
