@@ -26,8 +26,8 @@ INTRODUCTION = """\
 Written by `python benchmarks/libraries.py`, which trains in `crossing` (4 drones, `point_mass`) by
 unmodified libraries, each in an environment of its own. "Glue" counts the lines that a user writes
 for the environment. "Collection" is the rate of the library's vector environment with random
-actions, relative to `batch_env` with as many worlds; "training" includes collection, updates and
-evaluations. Both are per second of CPU time.
+actions, relative to `batch_env` with as many worlds, or "-" if the library has none; "training"
+includes collection, updates and evaluations. Both are per second of CPU time.
 """
 COLUMNS = {
     "library": "---",
@@ -71,7 +71,7 @@ def run(name: str, python: str, clients: Path) -> str:
         found["how"],
         str(found["glue"]),
         str(found["worlds"]),
-        f"{found['share']:.2f}",
+        "-" if found["share"] is None else f"{found['share']:.2f}",
         f"{found['training']:,.0f}",
         "passes" if checked.returncode == 0 else checked.stdout.strip().replace("\n", "; "),
         date.today().isoformat(),

@@ -38,6 +38,9 @@ def test_rows_are_those_of_the_clients_and_others_stay(benchmark, tmp_path):
         ["| `zeta`", "zeta 1.2, Python 3.11", "PPO", "3"],
     ]
     assert all(" | 0.25 | 1,234 | " in row for row in rows)
+    write_client(tmp_path, "zeta", share=None)
+    benchmark.main([f"zeta={sys.executable}", *usual])
+    assert " | 2 | - | 1,234 | " in page.read_text()
 
 
 def test_unknown_libraries_and_failures_are_errors(benchmark, tmp_path, capsys):

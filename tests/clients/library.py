@@ -54,11 +54,13 @@ def report(packages, how, glue, worlds, collect, train):
     Args:
         packages: Names of the packages whose versions count.
         how: What was trained.
-        glue: Functions and classes that a user must write.
+        glue: Functions and classes that a user must write, or their lines.
         worlds: Number of worlds.
         collect: Returns a function that flies a decision of all worlds by the library.
         train: Trains, and returns the number of decisions of drones.
     """
+    if not isinstance(glue, int):
+        glue = sum(len(inspect.getsource(one).splitlines()) for one in glue)
     rate = measure(collect(), worlds * OPTIONS["num_drones"])
     since = time.process_time()
     decisions = train()
@@ -67,7 +69,7 @@ def report(packages, how, glue, worlds, collect, train):
         "versions": {name: version(name) for name in packages},
         "python": ".".join(map(str, sys.version_info[:2])),
         "how": how,
-        "glue": sum(len(inspect.getsource(one).splitlines()) for one in glue),
+        "glue": glue,
         "worlds": worlds,
         "share": rate / batch_rate(worlds),
         "training": decisions / seconds,
