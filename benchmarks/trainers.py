@@ -151,10 +151,11 @@ def torchrl(task: str, worlds: int, options: dict[str, Any]) -> Step:
 
 
 def torchrl_rollout(task: str, worlds: int, options: dict[str, Any]) -> Step:
-    """Fly rollouts of TorchRL with random actions, one after the other."""
+    """Fly rollouts of TorchRL, one after the other."""
     from bulletuav.adapters.torchrl import DroneTensorEnv
 
-    return rollouts(DroneTensorEnv(task, worlds, **options))
+    env = DroneTensorEnv(task, worlds, **options)
+    return rollouts(env, group_actions(env))
 
 
 def torchrl_fixed(task: str, worlds: int, options: dict[str, Any]) -> Step:
@@ -168,8 +169,6 @@ def torchrl_fixed(task: str, worlds: int, options: dict[str, Any]) -> Step:
     after = flown.rand_step(first.clone())["next"]
 
     class FixedEnv(EnvBase):
-        rand_action = staticmethod(flown.rand_action)
-
         def _reset(self, tensordict: Any = None, **_: Any) -> Any:
             return first.clone()
 
@@ -182,20 +181,27 @@ def torchrl_fixed(task: str, worlds: int, options: dict[str, Any]) -> Step:
     env = FixedEnv(batch_size=flown.batch_size)
     for name in ("action", "observation", "reward", "done"):
         setattr(env, f"full_{name}_spec", getattr(flown, f"full_{name}_spec").clone())
-    return rollouts(env)
+    return rollouts(env, group_actions(flown))
 
 
-def rollouts(env: Any) -> Step:
+def rollouts(env: Any, actions: dict[str, np.ndarray]) -> Step:
     """Make rollouts, each of which starts where the one before has ended."""
     import torch
 
     torch.set_num_threads(1)
+    given = {group: torch.as_tensor(rows) for group, rows in actions.items()}
+
+    def policy(tensordict: Any) -> Any:
+        for group, rows in given.items():
+            tensordict.set((group, "action"), rows)
+        return tensordict
+
     env.set_seed(0)
     flight = [env.reset()]
 
     def step() -> int:
         flown = env.rollout(
-            ROLLED, tensordict=flight[0], auto_reset=False, break_when_any_done=False
+            ROLLED, policy, tensordict=flight[0], auto_reset=False, break_when_any_done=False
         )
         flight[0] = env.step_mdp(flown[:, -1])
         return ROLLED
