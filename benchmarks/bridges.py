@@ -1,476 +1,486 @@
-"""Measure what servers for programs of others keep up with.
+"""Measure the servers of `bulletuav serve` in real time, at full speed, and for an hour.
 
-    python benchmarks/bridges.py --out docs/results/bridges
+    python benchmarks/bridges.py --out docs/benchmarks/adapters.md
+    python benchmarks/bridges.py --soak 3600 --log soak.csv
 
-The server runs in a process of its own, and the client here, by bytes on sockets. Virtual
-Crazyflies: all hold a place, with setpoints at 50 Hz and a log block at 100 Hz each. Reported are
-setpoints and log packets a second, the real-time factor, the processor time of the server, how long
-an echo takes, and how much faster than real time the fleet flies if nothing holds it back.
+Each server runs in a process of its own; the clients here send and read bytes on sockets. All
+vehicles fly: every 2 s, each one at another time, a vehicle is commanded to a point 0.5 m further
+north or south. The delay of a command is the time on the client's clock from sending it to the
+first telemetry whose pitch rate has changed by 0.02 rad/s in the new direction. Telemetry has
+100 Hz (Crazyflie: a log block; MAVLink: ATTITUDE; AirSim: the state, read every 2 ms), and so have
+the steps of these servers. Autopilots in the loop (`hil`) command motors at 250 Hz; their delay is
+the time from sending motor commands to the next measurement, which these motors have changed.
 
-AirSim's calls: states that one client reads a second, one after the other, while the world flies
-in real time; velocities that it sets, one after the other; and how much faster than real time a
-loop in lockstep runs that commands and reads every vehicle ten times a simulated second. With
-`--pictures` alone: how long pings of one client take while another one asks for pictures.
+The real-time factor is simulated time per time, both by the telemetry. Processor time is that of
+the server and its children, as a fraction of one core. "Unpaced" is simulated time per processor
+time with `--speed 1000`: the real-time factor if the server has a core to itself.
 
-MAVLink: all vehicles fly offboard, with setpoints at 50 Hz each, and send telemetry at the usual
-rates, with local positions at 50 Hz. Reported are setpoints and messages a second, and the rest as
-for Crazyflies; an echo is a TIMESYNC.
+With `--soak`, the servers of AirSim, MAVLink and Crazyflie fly two vehicles each, and every minute
+one more client connects and disconnects. Resident memory is flat if the line fitted to its second
+half rises by less than 1 MiB an hour.
 
-Autopilots in the loop: every body is measured 250 times a simulated second, and each measurement is
-answered by motor commands. Reported are measurements a second of all bodies and the real-time
-factor at speed 1, and how much faster than real time lockstep runs.
+With `--pictures`: the delay of one client's pings while another client asks for pictures.
 
-Writes crazyflie.md, airsim.md, mavlink.md and hil.md. Needs psutil, msgpack and pymavlink, of the
-extra `test`.
+Needs psutil, msgpack and pymavlink, of the extra `test`.
 """
 
 import argparse
-import math
+import contextlib
 import selectors
 import socket
 import statistics
-import struct
 import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
+from typing import NamedTuple
 
-import msgpack
+import numpy as np
 import psutil
+from bridge_clients import (
+    KINDS,
+    NUM_PORTS,
+    AirsimConnection,
+    Clients,
+    pack_mavlink,
+)
 from pymavlink.dialects.v20 import common
 
-from bulletuav.bridges.crazyflie_fleet import CrazyflieFleet
-from bulletuav.bridges.crtp import Packet
-from bulletuav.bridges.mavlink_fleet import MavlinkFleet
-from bulletuav.bridges.mavlink_protocol import MavlinkCodec, Sender
-from bulletuav.bridges.mavlink_services import join_frames
 from bulletuav.files import replace_file
 
-PORT = 20850
-AIRSIM_PORT = 20450
-MAVLINK_PORT, MAVLINK_CLIENT = 21570, 21270
-HIL_PORT, HIL_HZ = 24560, 250
-SETPOINTS_HZ = 50
-HEIGHT = 1.0
+HIL_HZ = 250
+PERIOD = 2.0
+"""Time between changes of a vehicle's direction, s"""
+MIN_CHANGE = 0.02
+"""Change of the pitch rate that shows the effect of a command, rad/s"""
+READ_AHEAD = 0.05
+"""Time before a command from which on telemetry of its vehicle is read, s"""
+SETTLING_TIME = 6.0
+"""Time for taking off, s"""
+UNPACED = 1000.0
+"""Speed that no server reaches"""
+SAMPLE_PERIOD, VISIT_PERIOD = 10.0, 60.0
+"""Times between samples of memory, and between visits of one more client, s"""
+MAX_GROWTH = 1.0
+"""Maximum slope of memory that counts as flat, MiB/h"""
 
 
-def served(*words: str) -> tuple[subprocess.Popen, psutil.Process]:
-    """Start `bulletuav serve`, and wait until it has told its address."""
+class Server(NamedTuple):
+    """Running server.
+
+    Attributes:
+        popen: Handle that stops it.
+        process: Process, with its memory and processor time.
+    """
+
+    popen: subprocess.Popen
+    process: psutil.Process
+
+    def processes(self) -> list[psutil.Process]:
+        """Return the server and its children."""
+        return [self.process, *self.process.children(recursive=True)]
+
+    def cpu_time(self) -> float:
+        """Return the processor time so far, s."""
+        return sum(sum(process.cpu_times()[:2]) for process in self.processes())
+
+    def memory(self) -> float:
+        """Return the resident memory, MiB."""
+        return sum(process.memory_info().rss for process in self.processes()) / 2**20
+
+
+@contextlib.contextmanager
+def serve(*words: str) -> Iterator[Server]:
+    """Run `bulletuav serve`, once it listens, until the end of a `with` block."""
     command = [sys.executable, "-m", "bulletuav", "serve", *words]
-    server = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-    assert server.stdout is not None
-    while " at " not in server.stdout.readline():
-        if server.poll() is not None:
-            raise SystemExit(f"{' '.join(words)} did not start")
-    return server, psutil.Process(server.pid)
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as popen:
+        try:
+            assert popen.stdout is not None
+            while " at " not in popen.stdout.readline():
+                if popen.poll() is not None:
+                    raise SystemExit(f"{' '.join(words)} did not start")
+            yield Server(popen, psutil.Process(popen.pid))
+        finally:
+            popen.terminate()
 
 
-def links(drones: int) -> list[socket.socket]:
-    """Connect to all drones, let each log its place at 100 Hz, and take off."""
-    found = []
-    log = b"\x5d\x06\x00" + b"".join(struct.pack("<BH", 7, k) for k in range(3))
-    take_off = b"\x8c" + struct.pack("<BBff?f", 7, 0, HEIGHT, 0.0, True, 1.0)
-    for k in range(drones):
-        link = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        link.connect(("127.0.0.1", PORT + k))
-        for request in (b"\xfd\x00", log, b"\x5d\x03\x00\x01", take_off):
-            link.send(request)
-            link.recv(100)
-        link.setblocking(False)
-        found.append(link)
-    return found
+class Flight(NamedTuple):
+    """Measurements of a flight.
+
+    Attributes:
+        factor: Simulated time per time.
+        delays: Delay of each change of direction, s.
+        missed: Number of changes of direction without an effect before the next one.
+    """
+
+    factor: float
+    delays: list[float]
+    missed: int
 
 
-def stream(found: list[socket.socket], seconds: float) -> tuple[int, list[int]]:
-    """Send setpoints and read logs for a time; tell how many were sent, and the stamps of logs."""
-    hold = [
-        struct.pack("<BBffff", 0x7C, 7, 0.5 * (k % 10), 0.5 * (k // 10), HEIGHT, 0.0)
-        for k in range(len(found))
-    ]
-    sent, stamps = 0, []
-    end = due = time.perf_counter()
-    end += seconds
-    while time.perf_counter() < end:
-        for link, packet in zip(found, hold, strict=True):
-            link.send(packet)
-            sent += 1
-        due += 1 / SETPOINTS_HZ
-        for link in found:
-            try:
-                while True:
-                    data = link.recv(100)
-                    if data[0] == 0x5E:
-                        stamps.append(int.from_bytes(data[2:5], "little"))
-            except BlockingIOError:
-                pass
-        time.sleep(max(due - time.perf_counter(), 0.0))
-    return sent, stamps
+def fly(clients: Clients, seconds: float, stop: threading.Event | None = None) -> Flight:
+    """Fly all vehicles back and forth.
+
+    Args:
+        clients: Connected clients.
+        seconds: Duration, s.
+        stop: Event that ends the flight earlier.
+
+    Returns:
+        What the clients measured.
+    """
+    count = clients.num_vehicles
+    begin = now = time.perf_counter()
+    # The first turn follows one period later, when all vehicles have come to rest
+    sides, turns = [1] * count, [begin + PERIOD * (1 + (k + 1) / count) for k in range(count)]
+    pitch_rates, repeats = [0.0] * count, begin
+    # Time of each command without an effect yet, and the pitch rate at that time
+    pending: dict[int, tuple[float, float]] = {}
+    delays, missed, stamps = [], 0, []
+    while now < begin + seconds and not (stop and stop.is_set()):
+        for k in range(count):
+            if now >= turns[k]:
+                missed += k in pending
+                sides[k], turns[k] = -sides[k], turns[k] + PERIOD
+                pending[k] = (time.perf_counter(), pitch_rates[k])
+                clients.send(k, sides[k])
+        if now >= repeats:
+            repeats += 1 / clients.command_hz
+            for k in range(count):
+                clients.send(k, sides[k])
+        due = min(repeats, *turns, begin + seconds)
+        watched = {*pending, *(k for k in range(count) if turns[k] < now + READ_AHEAD)}
+        readings = clients.receive(max(due - time.perf_counter(), 0.0), watched)
+        now = time.perf_counter()
+        for k, _, pitch_rate in readings:
+            pitch_rates[k] = pitch_rate
+            if k in pending and sides[k] * (pitch_rate - pending[k][1]) > MIN_CHANGE:
+                delays.append(now - pending.pop(k)[0])
+        if readings:
+            stamps[1:] = [(now, readings[-1].stamp)]
+    (first, early), (last, late) = stamps
+    return Flight((late - early) / (last - first), delays, missed)
 
 
-def echo(link: socket.socket, times: int) -> float:
-    """Measure the median time of an echo, s."""
-    link.settimeout(1.0)
-    lasted = []
-    for _ in range(times):
-        begin = time.perf_counter()
-        link.send(b"\xfc")
-        while link.recv(100)[0] >> 4 != 15:
-            pass
-        lasted.append(time.perf_counter() - begin)
-    return statistics.median(lasted)
+def measure(kind: str, count: int, seconds: float, port: int) -> list[str]:
+    """Measure a server with a number of vehicles.
+
+    Returns:
+        The cells of its row.
+    """
+    (flight, share), (fast, fast_share) = (
+        measure_flight(kind, count, *given, port)
+        for given in ((seconds, 1.0), (seconds / 5, UNPACED))
+    )
+    return make_row(kind, count, flight, share, fast.factor / fast_share)
 
 
-def unbound(drones: int, steps: int) -> float:
-    """Tell simulated seconds in one of the clock for a fleet that nobody waits for."""
-    fleet = CrazyflieFleet(drones, seed=0)
-    fleet.warm_up()
-    for k in range(drones):
-        fleet.take(k, Packet(8, 0, struct.pack("<BBff?f", 7, 0, HEIGHT, 0.0, True, 1.0)))
-    begin = time.perf_counter()
-    for _ in range(steps):
-        fleet.step()
-    lasted = time.perf_counter() - begin
-    fleet.close()
-    return steps * fleet.airspace.period / lasted
+def measure_flight(
+    kind: str, count: int, seconds: float, speed: float, port: int
+) -> tuple[Flight, float]:
+    """Fly all vehicles of a server for a time.
+
+    Returns:
+        The flight, and the processor time of the server as a fraction of one core.
+    """
+    clients = KINDS[kind](count, port)
+    with serve(*clients.words, "--speed", str(speed)) as server, contextlib.closing(clients):
+        clients.connect()
+        fly(clients, SETTLING_TIME)
+        cpu, begin = server.cpu_time(), time.perf_counter()
+        flight = fly(clients, seconds)
+        return flight, (server.cpu_time() - cpu) / (time.perf_counter() - begin)
 
 
-def crazyflies(drones: int, seconds: float) -> list[str]:
-    """Measure a number of virtual Crazyflies; give the cells of a row."""
-    server, process = served("crazyflie", "--drones", str(drones), "--port", str(PORT))
-    try:
-        found = links(drones)
-        stream(found, 2.0)  # until all are there
-        before, begin = sum(process.cpu_times()[:2]), time.perf_counter()
-        sent, stamps = stream(found, seconds)
-        lasted = time.perf_counter() - begin
-        busy = (sum(process.cpu_times()[:2]) - before) / lasted
-        delay = echo(found[0], 300)
-    finally:
-        server.terminate()
-        server.wait()
-    factor = (stamps[-1] - stamps[0]) / 1000 / lasted
-    free = unbound(drones, max(2000 // drones, 200))
+def make_row(kind: str, count: int, flight: Flight, share: float, unpaced: float) -> list[str]:
+    """Return the cells of a row."""
+    if flight.missed:
+        print(f"{kind}, {count}: {flight.missed} commands without an effect", file=sys.stderr)
     return [
-        str(drones),
-        f"{sent / lasted:.0f}",
-        f"{len(stamps) / lasted:.0f}",
-        f"{factor:.2f}",
-        f"{100 * busy:.0f} %",
-        f"{1000 * delay:.2f}",
-        f"{free:.1f}",
+        kind,
+        str(count),
+        f"{flight.factor:.3f}",
+        f"{1000 * statistics.median(flight.delays):.1f}",
+        f"{1000 * max(flight.delays):.1f}",
+        f"{len(flight.delays)}",
+        f"{100 * share:.0f} %",
+        f"{unpaced:.1f}",
     ]
 
 
-class Caller:
-    """A client of AirSim's calls that waits for each answer."""
+def answer_measurements(
+    count: int, seconds: float, speed: float, port: int
+) -> tuple[Flight, float]:
+    """Answer the measurements of all bodies for a time, as autopilots do.
 
-    def __init__(self) -> None:
-        """Connect."""
-        self._socket = socket.create_connection(("127.0.0.1", AIRSIM_PORT))
-        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        self._unpacker, self._count = msgpack.Unpacker(), 0
+    Returns:
+        The flight, and the processor time of the server as a fraction of one core.
+    """
+    answer = pack_mavlink("hil_actuator_controls", 2**62, [0.5] * 16, 128, 1)
+    words = ("--drones", str(count), "--port", str(port), "--speed", str(speed))
+    delays, seen = [], 0
+    with (
+        serve("hil", *words) as server,
+        selectors.DefaultSelector() as selector,
+        contextlib.ExitStack() as stack,
+    ):
+        for k in range(count):
+            link = stack.enter_context(socket.create_connection(("127.0.0.1", port + k)))
+            link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            selector.register(link, selectors.EVENT_READ)
+            # The first message makes a connection the autopilot of its body
+            link.send(pack_mavlink("heartbeat", 1, 12, 0, 0, 4, 3))
+        sent: dict[socket.socket, float] = {}
+        cpu, begin = server.cpu_time(), time.perf_counter()
+        while time.perf_counter() < begin + seconds:
+            for key, _ in selector.select(1.0):
+                data = key.fileobj.recv(4096)
+                now = time.perf_counter()
+                if key.fileobj in sent:
+                    delays.append(now - sent[key.fileobj])
+                seen += data[7] == common.MAVLINK_MSG_ID_HIL_SENSOR
+                sent[key.fileobj] = time.perf_counter()
+                key.fileobj.send(answer)
+        lasted = time.perf_counter() - begin
+        share = (server.cpu_time() - cpu) / lasted
+    return Flight(seen / count / HIL_HZ / lasted, delays, 0), share
 
-    def send(self, name: str, *arguments: object) -> int:
-        """Send a request; give its number."""
-        self._count += 1
-        self._socket.sendall(msgpack.packb([0, self._count, name, list(arguments)]))
-        return self._count
 
-    def get(self, name: str, *arguments: object) -> object:
-        """Send a request and wait for its answer; other answers are dropped."""
-        number = self.send(name, *arguments)
-        while True:
-            for _, messages, error, result in self._unpacker:
-                if messages == number:
-                    assert error is None, error
-                    return result
-            self._unpacker.feed(self._socket.recv(2**20))
+def measure_hil(count: int, seconds: float, port: int) -> list[str]:
+    """Measure bodies of autopilots; return the cells of their row."""
+    flight, share = answer_measurements(count, seconds, 1.0, port)
+    fast, fast_share = answer_measurements(count, seconds / 5, UNPACED, port)
+    return make_row("hil", count, flight, share, fast.factor / fast_share)
 
 
-def times(seconds: float, call: Callable[[], object]) -> float:
-    """Do something again and again for a time, s; tell how often a second."""
-    count, begin = 0, time.perf_counter()
-    while time.perf_counter() - begin < seconds:
-        call()
-        count += 1
-    return count / (time.perf_counter() - begin)
+class Soak(NamedTuple):
+    """Memory of a server over time.
+
+    Attributes:
+        times: Times of the samples, s.
+        memory: Resident memory, MiB.
+    """
+
+    times: list[float]
+    memory: list[float]
+
+    def slope(self) -> float:
+        """Return the slope of the line fitted to the second half, MiB/h."""
+        half = len(self.times) // 2
+        return 3600 * float(np.polyfit(self.times[half:], self.memory[half:], 1)[0])
 
 
-def airsim(drones: int, seconds: float) -> list[str]:
-    """Measure AirSim's calls with a number of vehicles; give the cells of a row."""
-    server, _ = served("airsim", "--drones", str(drones), "--port", str(AIRSIM_PORT))
+def soak(seconds: float, port: int, log: Path | None) -> bool:
+    """Fly two vehicles of each server for a time, and print how its memory changed.
+
+    Args:
+        seconds: Duration, s.
+        port: First port of the servers.
+        log: CSV file of all samples; None for no file.
+
+    Returns:
+        Whether memory was flat in all servers.
+    """
+    fleets = {
+        kind: make(2, port + NUM_PORTS * place) for place, (kind, make) in enumerate(KINDS.items())
+    }
+    soaks = {kind: Soak([], []) for kind in fleets}
+    stop = threading.Event()
+    with contextlib.ExitStack() as stack:
+        servers = {kind: stack.enter_context(serve(*fleet.words)) for kind, fleet in fleets.items()}
+        for fleet in fleets.values():
+            fleet.connect()
+            stack.callback(fleet.close)
+        pool = stack.enter_context(ThreadPoolExecutor(len(fleets)))
+        stack.callback(stop.set)
+        flights = {kind: pool.submit(fly, fleet, seconds, stop) for kind, fleet in fleets.items()}
+        begin, visits = time.perf_counter(), 0
+        while time.perf_counter() - begin < seconds:
+            raise_errors(flights)
+            if time.perf_counter() - begin >= visits * VISIT_PERIOD:
+                visits += 1
+                for fleet in fleets.values():
+                    fleet.visit()
+            for kind, server in servers.items():
+                soaks[kind].times.append(time.perf_counter() - begin)
+                soaks[kind].memory.append(server.memory())
+            if log is not None:
+                write_soak(log, soaks)
+            time.sleep(min(SAMPLE_PERIOD, max(begin + seconds - time.perf_counter(), 0.0)))
+        rows = [
+            [
+                kind,
+                *(f"{found.memory[k]:.1f}" for k in (0, len(found.memory) // 2, -1)),
+                f"{found.slope():.2f}",
+                f"{flights[kind].result().factor:.4f}",
+                f"{len(flights[kind].result().delays)}",
+                f"{flights[kind].result().missed}",
+                f"{visits}",
+                f"{servers[kind].cpu_time() / seconds:.1%}",
+            ]
+            for kind, found in soaks.items()
+        ]
+    print(make_table(SOAK_HEADS, rows))
+    return all(found.slope() < MAX_GROWTH for found in soaks.values())
+
+
+def raise_errors(flights: dict[str, Future[Flight]]) -> None:
+    """Raise the error of a flight that has ended by one."""
+    for flight in flights.values():
+        if flight.done():
+            flight.result()
+
+
+def write_soak(path: Path, soaks: dict[str, Soak]) -> None:
+    """Write the memory of all servers over time as CSV."""
+    times = next(iter(soaks.values())).times
+    rows = zip(times, *(found.memory for found in soaks.values()), strict=True)
+    lines = [",".join(["s", *(f"{kind}_mib" for kind in soaks)])]
+    lines += [",".join(f"{value:.3f}" for value in row) for row in rows]
+    replace_file(path, "\n".join(lines) + "\n")
+
+
+def measure_lockstep(count: int, seconds: float, port: int) -> list[str]:
+    """Measure decisions through one client of AirSim's calls, in lockstep.
+
+    In each decision, all vehicles are commanded, 0.1 s is simulated, and all states are read.
+
+    Returns:
+        The cells of a row.
+    """
+    words = ("--drones", str(count), "--port", str(port), "--paused")
     free = (0, {"is_rate": True, "yaw_or_rate": 0.0})
-    try:
-        caller = Caller()
-        names = caller.get("listVehicles")
+    with serve("airsim", *words) as server:
+        connection = AirsimConnection(port)
+        names = connection.call("listVehicles")
         for name in names:
-            caller.get("enableApiControl", True, name)
-            caller.get("armDisarm", True, name)
-            caller.send("takeoff", 20.0, name)
-
-        def command() -> None:
-            caller.send("moveByVelocity", 0.1, 0.0, 0.0, 9.0, *free, names[0])
-            caller.get("ping")
-
-        reads = times(seconds, lambda: caller.get("getMultirotorState", names[0]))
-        commands = times(seconds, command)
-        caller.get("simPause", True)
-
-        def turn() -> None:
+            connection.call("enableApiControl", True, name)
+            connection.send("takeoff", 20.0, name)
+        connection.call("simContinueForTime", 5.0)
+        decisions, cpu, begin = 0, server.cpu_time(), time.perf_counter()
+        while time.perf_counter() < begin + seconds:
             for name in names:
-                caller.send("moveByVelocity", 0.1, 0.0, 0.0, 9.0, *free, name)
-            caller.get("simContinueForTime", 0.1)
+                connection.send("moveByVelocity", 0.1, 0.0, 0.0, 1.0, *free, name)
+            connection.call("simContinueForTime", 0.1)
             for name in names:
-                caller.get("getMultirotorState", name)
+                connection.call("getMultirotorState", name)
+            decisions += 1
+        lasted, cpu = time.perf_counter() - begin, server.cpu_time() - cpu
+        connection.socket.close()
+    rate = decisions / lasted
+    return [
+        str(count),
+        f"{rate:.0f}",
+        f"{0.1 * rate:.1f}",
+        f"{100 * cpu / lasted:.0f} %",
+        f"{1000 * cpu / decisions:.1f}",
+    ]
 
-        factor = 0.1 * times(seconds, turn)
-    finally:
-        server.terminate()
-        server.wait()
-    return [str(drones), f"{reads:.0f}", f"{commands:.0f}", f"{factor:.1f}"]
 
-
-def pictures(seconds: float) -> str:
-    """Measure what one client's pictures cost another client and the flight; give a sentence."""
-    server, _ = served("airsim", "--port", str(AIRSIM_PORT))
-    try:
-        caller, drawer = Caller(), Caller()
+def measure_pictures(seconds: float, port: int) -> str:
+    """Measure what one client's pictures cost another client and the flight; return a sentence."""
+    with serve("airsim", "--port", str(port)):
+        reader, drawer = AirsimConnection(port), AirsimConnection(port)
         wanted = [{"camera_name": "0", "image_type": 0}] * 32
-        drawer.get("simGetImages", wanted, "")  # the first one waits for the process that draws
-        drawn, lasted, stop = 0, [], threading.Event()
+        drawer.call("simGetImages", wanted, "")  # the first one waits for the process that draws
+        drawn, delays, stop = 0, [], threading.Event()
 
         def draw() -> None:
             nonlocal drawn
             while not stop.is_set():
-                drawn += len(drawer.get("simGetImages", wanted, ""))
+                drawn += len(drawer.call("simGetImages", wanted, ""))
 
-        def stamp() -> float:
-            return caller.get("getMultirotorState", "")["timestamp"] / 1e9
+        def read_time() -> float:
+            return reader.call("getMultirotorState", "")["timestamp"] / 1e9
 
         thread = threading.Thread(target=draw)
         thread.start()
-        begin, stamped = time.perf_counter(), stamp()
+        begin, simulated = time.perf_counter(), read_time()
         while time.perf_counter() < begin + seconds:
             sent = time.perf_counter()
-            caller.get("ping")
-            lasted.append(1000 * (time.perf_counter() - sent))
+            reader.call("ping")
+            delays.append(1000 * (time.perf_counter() - sent))
             time.sleep(0.01)
-        flown, passed = stamp() - stamped, time.perf_counter() - begin
+        simulated, passed = read_time() - simulated, time.perf_counter() - begin
         stop.set()
         thread.join()
-    finally:
-        server.terminate()
-        server.wait()
     return (
-        f"{drawn / passed:.0f} pictures/s; pings of another client took {max(lasted):.1f} ms at "
-        f"most, {statistics.median(lasted):.1f} ms in the median; real-time factor "
-        f"{flown / passed:.3f}"
+        f"{drawn / passed:.0f} pictures/s; pings of another client took {max(delays):.1f} ms at "
+        f"most, {statistics.median(delays):.1f} ms in the median; real-time factor "
+        f"{simulated / passed:.3f}"
     )
 
 
-def frame(drone: int, name: str, *fields: object) -> bytes:
-    """Pack a message for a vehicle."""
-    made = getattr(common, f"MAVLink_{name}_message")(*fields)
-    return bytes(made.pack(common.MAVLink(None, 255, 190)))
+HEADS = (
+    *("server", "vehicles", "real-time factor", "median delay, ms", "worst delay, ms"),
+    *("commands", "processor", "unpaced"),
+)
+LOCKSTEP_HEADS = (
+    *("vehicles", "decisions/s", "times real time", "processor"),
+    "processor time of a decision, ms",
+)
+SOAK_HEADS = (
+    *("server", "MiB at the start", "MiB at half", "MiB at the end", "slope, MiB/h"),
+    *("real-time factor", "commands", "missed", "visits", "processor"),
+)
 
 
-def held(drone: int) -> bytes:
-    """Pack a setpoint: 1.5 m above the start."""
-    target = (drone + 1, 1, 1, 0xDF8)
-    place = (0.0, 0.0, -1.5, *[0.0] * 8)
-    return frame(drone, "set_position_target_local_ned", 0, *target, *place)
-
-
-def requests(drone: int) -> list[bytes]:
-    """Pack what lets a vehicle take off, and fly offboard."""
-    commands = ((511, 32, 20000), (400, 1), (176, 1, 6, 0))
-    packed = [
-        frame(drone, "command_long", drone + 1, 1, one[0], 0, *one[1:], *[0.0] * (8 - len(one)))
-        for one in commands
-    ]
-    return [held(drone), *packed]
-
-
-def stream_mavlink(
-    found: list[socket.socket], seconds: float
-) -> tuple[int, int, list[tuple[float, int]]]:
-    """Send setpoints and read telemetry for a time.
-
-    Returns:
-        How many setpoints were sent, how many messages came, and when (s) local positions of the
-        first vehicle came, with their stamps (ms).
-    """
-    hold = [held(k) for k in range(len(found))]
-    sent, came, stamps = 0, 0, []
-    due = time.perf_counter()
-    end = due + seconds
-    while time.perf_counter() < end:
-        for k, link in enumerate(found):
-            link.sendto(hold[k], ("127.0.0.1", MAVLINK_PORT + k))
-            sent += 1
-        due += 1 / SETPOINTS_HZ
-        for k, link in enumerate(found):
-            try:
-                while True:
-                    data = link.recv(2000)
-                    while data:
-                        came += 1
-                        if k == 0 and data[7] == 32:
-                            stamp = int.from_bytes(data[10:14], "little")
-                            stamps.append((time.perf_counter(), stamp))
-                        data = data[12 + data[1] :]
-            except BlockingIOError:
-                pass
-        time.sleep(max(due - time.perf_counter(), 0.0))
-    return sent, came, stamps
-
-
-def echo_mavlink(link: socket.socket, times: int) -> float:
-    """Measure the median time of a TIMESYNC, s."""
-    link.settimeout(1.0)
-    lasted = []
-    for k in range(times):
-        request = frame(0, "timesync", 0, k + 1)
-        begin = time.perf_counter()
-        link.sendto(request, ("127.0.0.1", MAVLINK_PORT))
-        while link.recv(2000)[7] != common.MAVLINK_MSG_ID_TIMESYNC:
-            pass
-        lasted.append(time.perf_counter() - begin)
-    return statistics.median(lasted)
-
-
-def unbound_mavlink(drones: int, steps: int) -> float:
-    """Tell simulated seconds in one of the clock for vehicles that nobody waits for."""
-    fleet, sender = MavlinkFleet(drones, seed=0), Sender(255, 190)
-    fleet.warm_up()
-    wires = [MavlinkCodec(k + 1) for k in range(drones)]
-    for k, wire in enumerate(wires):
-        (take_off,) = wire.read(frame(k, "command_long", k + 1, 1, 22, 0, *[math.nan] * 7))
-        (arm,) = wire.read(frame(k, "command_long", k + 1, 1, 400, 0, 1, *[0.0] * 6))
-        for message in (take_off, arm):
-            fleet.take(k, message, sender)
-    begin = time.perf_counter()
-    for _ in range(steps):
-        for wire, messages in zip(wires, fleet.step(), strict=True):
-            join_frames([wire.pack(one) for one in messages], 1400)
-    lasted = time.perf_counter() - begin
-    fleet.close()
-    return steps * fleet.airspace.period / lasted
-
-
-def mavlink(drones: int, seconds: float) -> list[str]:
-    """Measure a number of MAVLink vehicles; give the cells of a row."""
-    ports = ("--port", str(MAVLINK_PORT), "--client-port", str(MAVLINK_CLIENT))
-    server, process = served("mavlink", "--drones", str(drones), *ports)
-    found = []
-    try:
-        for k in range(drones):
-            link = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-            link.bind(("127.0.0.1", MAVLINK_CLIENT + k))
-            for request in requests(k):
-                link.sendto(request, ("127.0.0.1", MAVLINK_PORT + k))
-            link.setblocking(False)
-            found.append(link)
-        stream_mavlink(found, 4.0)  # until all are there
-        before, begin = sum(process.cpu_times()[:2]), time.perf_counter()
-        sent, came, stamps = stream_mavlink(found, seconds)
-        lasted = time.perf_counter() - begin
-        busy = (sum(process.cpu_times()[:2]) - before) / lasted
-        delay = echo_mavlink(found[0], 300)
-    finally:
-        server.terminate()
-        server.wait()
-        for link in found:
-            link.close()
-    (first, early), (last, late) = stamps[0], stamps[-1]
-    free = unbound_mavlink(drones, max(2000 // drones, 200))
-    return [
-        str(drones),
-        f"{sent / lasted:.0f}",
-        f"{came / lasted:.0f}",
-        f"{(late - early) / 1000 / (last - first):.2f}",
-        f"{100 * busy:.0f} %",
-        f"{1000 * delay:.2f}",
-        f"{free:.1f}",
-    ]
-
-
-def lockstep(drones: int, seconds: float, speed: float) -> tuple[float, float]:
-    """Answer measurements of all bodies for a time.
-
-    Returns:
-        Measurements a second of all bodies, and the real-time factor.
-    """
-    words = ("--drones", str(drones), "--port", str(HIL_PORT), "--speed", str(speed))
-    server, _ = served("hil", *words)
-    controls = ([0.5] * 16, 128, 1)
-    answer = frame(0, "hil_actuator_controls", 2**62, *controls)
-    links, seen = selectors.DefaultSelector(), 0
-    try:
-        for k in range(drones):
-            link = socket.create_connection(("127.0.0.1", HIL_PORT + k))
-            link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            links.register(link, selectors.EVENT_READ)
-        begin = time.perf_counter()
-        while time.perf_counter() < begin + seconds:
-            for key, _ in links.select(1.0):
-                key.fileobj.recv(4096)
-                key.fileobj.send(answer)
-                seen += 1
-        lasted = time.perf_counter() - begin
-    finally:
-        server.terminate()
-        server.wait()
-        for key in list(links.get_map().values()):
-            key.fileobj.close()
-        links.close()
-    return seen / lasted, seen / drones / HIL_HZ / lasted
-
-
-def hil(drones: int, seconds: float) -> list[str]:
-    """Measure lockstep with a number of autopilots; give the cells of a row."""
-    rate, factor = lockstep(drones, seconds, 1.0)
-    _, free = lockstep(drones, seconds, 1000.0)
-    return [str(drones), f"{rate:.0f}", f"{factor:.2f}", f"{free:.1f}"]
-
-
-def write(path: Path, heads: tuple[str, ...], rows: list[list[str]]) -> None:
-    """Write a table."""
+def make_table(heads: tuple[str, ...], rows: list[list[str]]) -> str:
+    """Return a table in Markdown."""
     lines = [list(heads), ["---:"] * len(heads), *rows]
-    table = "".join(f"| {' | '.join(row)} |\n" for row in lines)
-    replace_file(path, table)
-    print(table)
+    return "".join(f"| {' | '.join(row)} |\n" for row in lines)
+
+
+def replace_table(page: Path, heads: tuple[str, ...], rows: list[list[str]]) -> None:
+    """Replace the table of a page that has these heads.
+
+    Raises:
+        SystemExit: If the page has no such table.
+    """
+    table, text = make_table(heads, rows), page.read_text(encoding="utf-8")
+    first_line = table.splitlines()[0] + "\n"
+    start = text.find(first_line)
+    if start < 0:
+        raise SystemExit(f"{page} has no table that begins with {first_line}")
+    lines = text[start:].splitlines(keepends=True)
+    rest = next((k for k, line in enumerate(lines) if not line.startswith("|")), len(lines))
+    replace_file(page, text[:start] + table + "".join(lines[rest:]))
 
 
 def main() -> None:
-    """Measure, and write the tables."""
+    """Measure, and print or write the tables."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--out", type=Path, default=Path("docs/results/bridges"))
-    parser.add_argument("--drones", type=int, nargs="+", default=[1, 10, 100])
-    parser.add_argument("--seconds", type=float, default=10.0)
-    parser.add_argument("--pictures", action="store_true", help="measure AirSim's pictures alone")
+    parser.add_argument("--out", type=Path, help="page whose tables are replaced")
+    parser.add_argument("--servers", nargs="+", choices=[*KINDS, "hil"], default=[*KINDS, "hil"])
+    parser.add_argument("--drones", type=int, nargs="+", default=[1, 8, 50])
+    parser.add_argument("--seconds", type=float, default=30.0)
+    parser.add_argument("--port", type=int, default=20450, help="first of 600 free ports")
+    parser.add_argument("--soak", type=float, metavar="SECONDS", help="fly for memory instead")
+    parser.add_argument("--log", type=Path, help="CSV file of the memory in a soak")
+    parser.add_argument("--pictures", action="store_true", help="measure AirSim's pictures instead")
     arguments = parser.parse_args()
     if arguments.pictures:
-        print(pictures(arguments.seconds))
+        print(measure_pictures(arguments.seconds, arguments.port))
         return
-    arguments.out.mkdir(parents=True, exist_ok=True)
-    rates = ("real-time factor", "processor of the server", "echo, ms", "times real time, unpaced")
-    heads = ("drones", "setpoints/s", "log packets/s", *rates)
-    rows = [crazyflies(count, arguments.seconds) for count in arguments.drones]
-    write(arguments.out / "crazyflie.md", heads, rows)
-    heads = ("vehicles", "states read/s", "velocities set/s", "times real time, in lockstep")
-    rows = [airsim(count, arguments.seconds / 3) for count in arguments.drones]
-    write(arguments.out / "airsim.md", heads, rows)
-    heads = ("vehicles", "setpoints/s", "messages/s", *rates)
-    rows = [mavlink(count, arguments.seconds) for count in arguments.drones]
-    write(arguments.out / "mavlink.md", heads, rows)
-    heads = ("bodies", "measurements/s", "real-time factor", "times real time, in lockstep")
-    rows = [hil(count, arguments.seconds) for count in arguments.drones]
-    write(arguments.out / "hil.md", heads, rows)
+    if arguments.soak is not None:
+        sys.exit(0 if soak(arguments.soak, arguments.port, arguments.log) else "memory grows")
+    given = (arguments.seconds, arguments.port)
+    rows = []
+    for kind in arguments.servers:
+        for count in arguments.drones:
+            row = measure_hil(count, *given) if kind == "hil" else measure(kind, count, *given)
+            rows.append(row)
+            print(*row, sep="\t", flush=True)
+    lockstep = [measure_lockstep(count, *given) for count in arguments.drones]
+    for heads, cells in ((HEADS, rows), (LOCKSTEP_HEADS, lockstep)):
+        print(make_table(heads, cells))
+        if arguments.out is not None:
+            replace_table(arguments.out, heads, cells)
 
 
 if __name__ == "__main__":

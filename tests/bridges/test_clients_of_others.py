@@ -3,6 +3,7 @@
 Each is installed into an environment of its own, apart from the package.
 """
 
+import contextlib
 import os
 import subprocess
 import sys
@@ -42,35 +43,51 @@ def cflib(tmp_path_factory):
 def airsim_clients(tmp_path_factory):
     """Clients by name. That of AirSim itself needs to be installed what it does not ask for."""
     needs = ("numpy", "msgpack-rpc-python", "wheel", "setuptools<81", "opencv-python-headless")
-    old = environment(tmp_path_factory.mktemp("airsim") / "venv", *needs)
+    old = environment(tmp_path_factory.mktemp("airsim") / "venv", *needs, "gymnasium")
     pip = [old / "bin" / "pip", "install", "-q", "--no-build-isolation", "airsim==1.8.1"]
     subprocess.run(pip, check=True, env=alone())
-    new = environment(tmp_path_factory.mktemp("cosys") / "venv", "cosysairsim==3.5.0")
+    new = environment(tmp_path_factory.mktemp("cosys") / "venv", "cosysairsim==3.5.0", "gymnasium")
     return {"airsim": old, "cosysairsim": new}
+
+
+@contextlib.contextmanager
+def airsim_server(*words):
+    """Runs a server of AirSim's calls; returns its port."""
+    command = [sys.executable, "-m", "bulletuav", "serve", "airsim", "--port", "0", *words]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=quiet()) as server:
+        line = ""
+        while " at " not in line:
+            line = server.stdout.readline()
+            assert server.poll() is None
+        try:
+            yield line.strip().rsplit(":", 1)[1]
+        finally:
+            server.terminate()
 
 
 @pytest.mark.slow
 def test_clients_of_airsim_fly_and_repeat_their_flight_to_the_last_bit(airsim_clients, tmp_path):
-    """Each twice, with a server anew each time: the four hashes are the same."""
-    command = [sys.executable, "-m", "bulletuav", "serve", "airsim", "--drones", "2", "--lidar"]
+    """Each twice, with a new server each time: the four hashes are the same."""
     hashes = set()
     for name, place in [*airsim_clients.items()] * 2:
-        with subprocess.Popen(
-            [*command, "--port", "0"], stdout=subprocess.PIPE, text=True, env=quiet()
-        ) as server:
-            line = ""
-            while " at " not in line:
-                line = server.stdout.readline()
-                assert server.poll() is None
-            port = line.strip().rsplit(":", 1)[1]
+        with airsim_server("--drones", "2", "--lidar") as port:
             program = [place / "bin" / "python", HERE / "airsim_client.py", name, port]
             told = subprocess.run(
                 program, capture_output=True, text=True, timeout=200, cwd=tmp_path, env=alone()
             )
-            server.terminate()
         assert told.returncode == 0, told.stdout + told.stderr
         hashes.add(told.stdout.split()[-1])
     assert len(hashes) == 1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["airsim", "cosysairsim"])
+def test_environments_of_airsims_clients_fly(name, airsim_clients, tmp_path):
+    page = HERE.parents[1] / "docs" / "howto" / "bridges" / "airsim.md"
+    python = airsim_clients[name] / "bin" / "python"
+    with airsim_server("--drones", "3", "--paused") as port:
+        program = [python, HERE / "airsim_gym_client.py", name, port, page]
+        subprocess.run(program, check=True, timeout=400, cwd=tmp_path, env=alone())
 
 
 @pytest.fixture
