@@ -145,19 +145,17 @@ class HilBodies:
             MAVLink messages for each autopilot.
         """
         self.tick += 1
-        noise = self._rng.standard_normal((len(self), 10)) * self._noise
-        return [self._make_sensor_messages(i, noise[i]) for i in range(len(self))]
-
-    def _make_sensor_messages(self, i: int, noise: np.ndarray) -> list[OutgoingMessage]:
-        """Return the sensor messages of vehicle `i`: HIL_SENSOR, and HIL_GPS when it is due."""
         swarm = self.airspace.swarm
-        height = float(self.origin.altitude + swarm.position[i, 2])
-        acceleration = self._acceleration[i].tolist()
-        values = measure(swarm.quaternion[i], swarm.rates[i], acceleration, self._field, height)
-        values[:10] += noise
+        height = self.origin.altitude + swarm.position[:, 2]
+        values = measure(swarm.quaternion, swarm.rates, self._acceleration, self._field, height)
+        values[:, :10] += self._rng.standard_normal((len(self), 10)) * self._noise
+        return [self._make_sensor_messages(i, row) for i, row in enumerate(values.tolist())]
+
+    def _make_sensor_messages(self, i: int, values: list[float]) -> list[OutgoingMessage]:
+        """Return the sensor messages of vehicle `i`: HIL_SENSOR, and HIL_GPS when it is due."""
         # Only updated fields are flagged; slow sensors measure in some of the steps
         updated = INERTIAL_FIELDS | (SLOW_FIELDS if self.tick % SLOW_STEPS == 0 else 0)
-        messages = [OutgoingMessage("hil_sensor", (self.stamp, *values.tolist(), updated))]
+        messages = [OutgoingMessage("hil_sensor", (self.stamp, *values, updated))]
         if self.tick % GPS_STEPS == 0:
             messages.append(self._make_gps_message(i))
         return messages

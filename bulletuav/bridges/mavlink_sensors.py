@@ -4,7 +4,6 @@ Source: https://mavlink.io/en/messages/common.html.
 """
 
 import functools
-from collections.abc import Sequence
 
 import numpy as np
 
@@ -19,33 +18,36 @@ GAUSS, KELVIN = 1e-4, 273.15
 def measure(
     quaternion: np.ndarray,
     rates: np.ndarray,
-    acceleration: Sequence[float],
+    acceleration: np.ndarray,
     field: np.ndarray,
-    height: float,
+    height: np.ndarray,
 ) -> np.ndarray:
-    """Return the values of ideal sensors, in the order of the fields of HIGHRES_IMU.
+    """Return the values of the ideal sensors of N vehicles, in the order of HIGHRES_IMU's fields.
 
     Args:
-        quaternion: (4,) attitude, body (FLU) to world (ENU).
-        rates: (3,) angular rates in body axes, rad/s.
-        acceleration: (3,) acceleration in world axes, m/s^2.
+        quaternion: (N, 4) attitudes, body (FLU) to world (ENU).
+        rates: (N, 3) angular rates in body axes, rad/s.
+        acceleration: (N, 3) accelerations in world axes, m/s^2.
         field: (3,) magnetic field in world axes, gauss.
-        height: Altitude, m.
+        height: (N,) altitudes, m.
 
     Returns:
-        (13,) specific force (m/s^2), rates (rad/s) and magnetic field (gauss) in forward, right,
+        (N, 13) specific force (m/s^2), rates (rad/s) and magnetic field (gauss) in forward, right,
         down; absolute and differential pressure (hPa), pressure altitude (m), temperature (deg C).
     """
-    x, y, z = acceleration
     # An accelerometer measures specific force: at rest, gravity upwards
-    force = flu_to_frd(to_body(quaternion, (x, y, z + STANDARD_GRAVITY)))
-    air = (
-        float(pressure(height)) / 100,
-        0.0,
-        float(geopotential_height(height)),
-        float(temperature(height)) - KELVIN,
-    )
-    return np.concatenate([force, flu_to_frd(rates), flu_to_frd(to_body(quaternion, field)), air])
+    force = acceleration + np.array((0.0, 0.0, STANDARD_GRAVITY))
+    in_body = [
+        (*to_body(attitude, one), *to_body(attitude, field))
+        for attitude, one in zip(quaternion, force, strict=True)
+    ]
+    force, magnetic = np.split(np.array(in_body), 2, axis=1)
+    values = np.zeros((len(quaternion), 13))
+    values[:, :9] = np.hstack([flu_to_frd(force), flu_to_frd(rates), flu_to_frd(magnetic)])
+    values[:, 9] = pressure(height) / 100
+    values[:, 11] = geopotential_height(height)
+    values[:, 12] = temperature(height) - KELVIN
+    return values
 
 
 @functools.cache

@@ -153,8 +153,9 @@ def _highres_imu(vehicle: MavlinkVehicle) -> tuple[Any, ...]:
     """Return HIGHRES_IMU, without noise."""
     _, quaternion, _, rates = vehicle.pilot.state
     field, altitude = compute_field(vehicle.site.home), vehicle.locate()[2]
-    values = measure(np.array(quaternion), np.array(rates), vehicle.acceleration, field, altitude)
-    return (vehicle.time_boot_ms * 1000, *values.tolist(), ALL_FIELDS)
+    motion = np.array([quaternion]), np.array([rates]), np.array([vehicle.acceleration])
+    (values,) = measure(*motion, field, np.array([altitude])).tolist()
+    return (vehicle.time_boot_ms * 1000, *values, ALL_FIELDS)
 
 
 def _mission(vehicle: MavlinkVehicle) -> tuple[Any, ...]:
