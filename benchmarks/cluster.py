@@ -1,22 +1,31 @@
 """Estimate what 100,000 drones cost as 100 worlds over a cluster, from measurements of one core.
 
     python benchmarks/cluster.py --out docs/results/cluster
+    python benchmarks/cluster.py --losses docs/lab/cluster.md
 
 Decisions of one world of 1,000 drones are timed on one core, and its messages are measured. A
 simulation of the cost then draws these times for each world and core, waits for the slowest core,
 and adds the time of the messages through one link of the head node. No cluster is used. Writes
 cluster.md and cluster.png.
+
+With `--losses` clusters of local nodes fly and train instead, while nodes are killed, by the
+programs tests/clients/ray_cluster.py and rllib_cluster.py. Writes a page; needs the extra `rllib`.
 """
 
 import argparse
+import json
 import math
 import pickle
 import platform
 import statistics
+import subprocess
+import sys
 import time
 from collections.abc import Sequence
+from datetime import date
+from importlib.metadata import version
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import matplotlib
 import numpy as np
@@ -45,6 +54,40 @@ CASES = {
 }
 """Task, policy and options by name"""
 COLOURS = ("#1b6ca8", "#c8553d", "#5a8f3c")
+CLIENTS = Path(__file__).parents[1] / "tests" / "clients"
+PHASES = ("before", "runner killed", "node killed", "node added", "restored")
+"""Phases of rllib_cluster.py"""
+LOSSES = """\
+# Clusters: losses of nodes
+
+Written by `python benchmarks/cluster.py --losses docs/lab/cluster.md` on {date}, with Ray {ray}.
+The nodes are Ray's own, on one machine: each has a raylet, an object store of 100 MiB and one CPU.
+They share two cores with other work, so the times show no speed. CI runs both programs, with fewer
+episodes. How to use a cluster: [Spread runs over processes and machines](../howto/cluster.md).
+
+## Evaluation
+
+`bulletuav evaluate crossing --policy orca --dynamics point_mass --ray ADDRESS`. Every node but the
+head is killed (SIGKILL) while it flies, so that the head alone finishes. The files are those of one
+process, byte for byte, otherwise [the program](../../tests/clients/ray_cluster.py) fails.
+
+| nodes | episodes | nodes killed after so many episodes | time (s) | files |
+|---|---:|---|---:|---|
+{evaluation}
+
+## RLlib
+
+PPO on `crossing` with a runner on each node. A runner is killed, then a node with all its
+processes; another node joins; at last a second algorithm continues from a checkpoint with equal
+weights. In each phase training continues until as many runners answer as there are nodes. The table
+has the numbers of iterations, at least {least} in each phase. [The
+program](../../tests/clients/rllib_cluster.py) fails if an iteration collects nothing.
+
+| nodes | {phases} | time (s) |
+|---|{dashes}---:|
+{training}
+"""
+"""Page of the losses"""
 
 
 class Network(NamedTuple):
@@ -202,6 +245,37 @@ def draw(measured: dict[str, World], path: Path) -> None:
     pyplot.close(figure)
 
 
+def run_client(name: str, *arguments: str) -> list[dict[str, Any]]:
+    """Run a program that kills nodes, and return the rows that it prints."""
+    command = [sys.executable, str(CLIENTS / f"{name}.py"), *arguments]
+    done = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True)
+    return [json.loads(line) for line in done.stdout.splitlines() if line.startswith("{")]
+
+
+def describe_losses(evaluation: list[dict[str, Any]], training: list[dict[str, Any]]) -> str:
+    """Write the page of the losses from the rows of both programs."""
+    flown = [
+        f"| {row['nodes'] or 'one process'} | {row['episodes']} | "
+        f"{', '.join(map(str, row['killed']))} | {row['seconds']:.0f} | "
+        f"{'the same bytes' if row['nodes'] else ''} |"
+        for row in evaluation
+    ]
+    trained = [
+        f"| {row['nodes']} | {' | '.join(str(row['iterations'][name]) for name in PHASES)} | "
+        f"{row['seconds']:.0f} |"
+        for row in training
+    ]
+    return LOSSES.format(
+        date=date.today().isoformat(),
+        ray=version("ray"),
+        evaluation="\n".join(flown),
+        phases=" | ".join(PHASES),
+        dashes="---:|" * len(PHASES),
+        least=min(row["iterations"]["before"] for row in training),
+        training="\n".join(trained),
+    )
+
+
 def main(given: Sequence[str] | None = None) -> None:
     """Measure, simulate and write."""
     parser = argparse.ArgumentParser(
@@ -209,7 +283,13 @@ def main(given: Sequence[str] | None = None) -> None:
     )
     parser.add_argument("--out", type=Path, default=Path("docs/results/cluster"))
     parser.add_argument("--decisions", type=int, default=60, help="decisions to time")
+    parser.add_argument("--losses", type=Path, metavar="PAGE", help="kill nodes, and write a page")
+    parser.add_argument("--episodes", type=int, default=400, help="with --losses: episodes to fly")
     arguments = parser.parse_args(given)
+    if arguments.losses is not None:
+        evaluation = run_client("ray_cluster", "--episodes", str(arguments.episodes))
+        replace_file(arguments.losses, describe_losses(evaluation, run_client("rllib_cluster")))
+        return
     measured = {name: measure(*case, arguments.decisions) for name, case in CASES.items()}
     text = table(measured)
     arguments.out.mkdir(parents=True, exist_ok=True)

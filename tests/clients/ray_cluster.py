@@ -1,74 +1,106 @@
-"""`--ray` on clusters of 2 and 4 nodes, of which one is lost by `kill -9` every few seconds.
+"""`bulletuav evaluate --ray` on clusters of 2 and 4 local nodes, which are killed one by one.
 
-The nodes are those of Ray's own `Cluster`: each has a raylet and processes of its own, on one
-machine. The files must be those of a single process. By hand, as CI has no Ray:
+Each node but the head is killed by SIGKILL while it flies episodes, so that the head finishes the
+evaluation. The files must be those of a single process, byte for byte. Prints a line of JSON for
+each cluster.
 
     python tests/clients/ray_cluster.py
+    python tests/clients/ray_cluster.py --nodes 4 --episodes 2000
 """
 
-# ruff: noqa: E402 - Ray reads variables when it is imported
-import os
+import argparse
+import json
 import subprocess
 import sys
-import tempfile
 import time
 from pathlib import Path
 
-FOLDER = tempfile.TemporaryDirectory(prefix="ray", ignore_cleanup_errors=True)
-os.environ.setdefault("XDG_CACHE_HOME", str(Path.home() / ".cache"))
-os.environ.update(HOME=FOLDER.name, RAY_TMPDIR=FOLDER.name)
-os.environ.update(RAY_AUTH_MODE="disabled", RAY_USAGE_STATS_ENABLED="0")
+from local_nodes import FOLDER, kill_node, node_pid, start_nodes
 
-from ray.cluster_utils import Cluster
-
-COMMAND = [
-    *[sys.executable, "-m", "bulletuav", "evaluate", "crossing", "--policy", "orca"],
-    *["--episodes", "600", "--seed", "5", "--dynamics", "point_mass"],
-]
-EVERY = 6.0
-"""Time between two losses, s"""
-NODE = {"num_cpus": 1, "include_dashboard": False}
+TASK_NAME = "ray::done_by_one"
+"""Title of a worker's process while it runs a task of `map_on_cluster`"""
+POLL = 0.01
+"""Time between two looks at the evaluation, s"""
 
 
-def fly(count, folder):
-    """Evaluate on so many nodes; tell how many were lost meanwhile."""
-    cluster = Cluster(initialize_head=True, head_node_args=NODE)
-    nodes = [cluster.add_node(**NODE) for _ in range(count - 1)]
-    cluster.wait_for_nodes()
-    flight = subprocess.Popen([*COMMAND, "--out", folder, "--ray", cluster.address])
-    lost = 0
-    while True:
-        try:
-            assert flight.wait(EVERY) == 0, "the evaluation failed"
-            break
-        except subprocess.TimeoutExpired:
-            # Never the head
-            cluster.remove_node(nodes.pop(0), allow_graceful=False)
-            nodes.append(cluster.add_node(**NODE))
-            lost += 1
-    cluster.shutdown()
-    return lost
+def command(episodes):
+    """Return the command line of the evaluation."""
+    return [
+        *[sys.executable, "-m", "bulletuav", "evaluate", "crossing", "--policy", "orca"],
+        *["--episodes", str(episodes), "--seed", "5", "--dynamics", "point_mass"],
+    ]
 
 
-def files(folder):
-    """Bytes of each file of an evaluation."""
+def count_episodes(folder):
+    """Return the number of episodes that an evaluation has written."""
+    path = folder / "episodes.csv"
+    return max(0, len(path.read_bytes().splitlines()) - 1) if path.is_file() else 0
+
+
+def is_flying(node):
+    """Return True if a worker of a node runs a task."""
+    listed = ["ps", "--ppid", str(node_pid(node)), "-o", "args="]
+    workers = subprocess.run(listed, stdout=subprocess.PIPE, text=True).stdout
+    return TASK_NAME in workers
+
+
+def fly(count, episodes, folder):
+    """Evaluate on a cluster, kill nodes meanwhile, and return the episodes finished before each.
+
+    Raises:
+        RuntimeError: If the evaluation fails, or ends before all these nodes are killed.
+    """
+    killed = []
+    with start_nodes(count) as (cluster, nodes):
+        flight = subprocess.Popen(
+            [*command(episodes), "--out", folder, "--ray", cluster.address],
+            stdout=subprocess.DEVNULL,
+        )
+        for k, node in enumerate(nodes):
+            # The k-th of n - 1 nodes is killed when at least k / n of the episodes are flown
+            while count_episodes(folder) <= k * episodes // count or not is_flying(node):
+                if flight.poll() is not None:
+                    raise RuntimeError(
+                        f"the evaluation ended ({flight.returncode}) after {len(killed)} of "
+                        f"{len(nodes)} losses: fly more episodes"
+                    )
+                time.sleep(POLL)
+            killed.append(count_episodes(folder))
+            kill_node(cluster, node)
+        if flight.wait() != 0:
+            raise RuntimeError(f"the evaluation failed: exit status {flight.returncode}")
+    return killed
+
+
+def read_files(folder):
+    """Return the bytes of each file of an evaluation."""
     return {path.name: path.read_bytes() for path in sorted(folder.iterdir())}
 
 
 def main():
-    """Fly alone and on clusters, and compare."""
+    """Evaluate in one process and on clusters, and compare the files."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--nodes", type=int, nargs="+", default=(2, 4), help="sizes of clusters")
+    parser.add_argument("--episodes", type=int, default=200)
+    given = parser.parse_args()
     place = Path(FOLDER.name)
     began = time.perf_counter()
-    subprocess.run([*COMMAND, "--out", place / "alone"], check=True)
-    print(f"one process: {time.perf_counter() - began:.1f} s", flush=True)
-    for count in (2, 4):
+    local = [*command(given.episodes), "--out", place / "local"]
+    subprocess.run(local, check=True, stdout=subprocess.DEVNULL)
+    report(nodes=0, episodes=given.episodes, killed=[], began=began)
+    for count in given.nodes:
         folder = place / f"nodes{count}"
         began = time.perf_counter()
-        lost = fly(count, folder)
-        assert files(folder) == files(place / "alone"), f"{count} nodes gave other files"
-        assert lost, "no node was lost: fly more episodes"
-        took = time.perf_counter() - began
-        print(f"{count} nodes: {took:.1f} s, {lost} nodes killed, the same files", flush=True)
+        killed = fly(count, given.episodes, folder)
+        assert read_files(folder) == read_files(place / "local"), f"{count} nodes: other files"
+        report(nodes=count, episodes=given.episodes, killed=killed, began=began)
+
+
+def report(began, **row):
+    """Print a line of JSON with the seconds since the start."""
+    print(json.dumps({**row, "seconds": round(time.perf_counter() - began, 1)}), flush=True)
 
 
 if __name__ == "__main__":

@@ -1,25 +1,24 @@
-"""RLlib on a cluster of 2 and of 4 nodes, of which one is lost by `kill -9` while it trains.
+"""RLlib's PPO on clusters of 2 and 4 local nodes while runners and nodes are killed.
 
-The nodes are those of Ray's own `Cluster`: each has a raylet, an object store and processes of its
-own, on one machine. By hand, as CI has no Ray:
+A runner is killed by SIGKILL, then a node with all its processes; another node joins, and at last a
+second algorithm continues from a checkpoint. Training must collect in each iteration, and lost
+runners must return where there is a free CPU. Prints a line of JSON for each cluster.
 
     python tests/clients/rllib_cluster.py
+    python tests/clients/rllib_cluster.py --nodes 4 --iterations 10
 """
 
-# ruff: noqa: E402 - Ray reads variables when it is imported
+import argparse
+import json
 import os
 import signal
-import tempfile
 import time
 from pathlib import Path
 
-FOLDER = tempfile.TemporaryDirectory(prefix="ray", ignore_cleanup_errors=True)
-os.environ.setdefault("XDG_CACHE_HOME", str(Path.home() / ".cache"))
-os.environ.update(HOME=FOLDER.name, RAY_TMPDIR=FOLDER.name)
-os.environ.update(RAY_AUTH_MODE="disabled", RAY_USAGE_STATS_ENABLED="0")
-
-import ray
-from ray.cluster_utils import Cluster
+import numpy as np
+from local_nodes import FOLDER, add_node, kill_node, start_nodes
+from ray import get_runtime_context
+from ray.rllib.algorithms.algorithm import Algorithm
 from ray.rllib.algorithms.ppo import PPOConfig
 from ray.rllib.core.rl_module.default_model_config import DefaultModelConfig
 
@@ -27,12 +26,12 @@ from bulletuav.adapters.rllib import DroneMultiAgentEnv, connect, log_outcomes, 
 from bulletuav.adapters.rllib_vector import BatchEnvRunner
 
 OPTIONS = {"difficulty": "easy", "num_drones": 4, "dynamics": "point_mass", "horizon": 60}
-ITERATIONS, MOST = 4, 60
-"""Iterations before a runner or a node is lost, and after; most that it takes to come back"""
+MAX_ITERATIONS = 100
+"""Maximum number of iterations until a runner has returned"""
 
 
 def configure(runners):
-    """Configure PPO with so many runners, which are made anew where they are lost."""
+    """Configure PPO with a number of runners, which are started again after they are lost."""
     return (
         PPOConfig()
         .environment(DroneMultiAgentEnv, env_config={"task": "crossing", "symlog": True, **OPTIONS})
@@ -52,86 +51,95 @@ def configure(runners):
     )
 
 
-def places(algorithm):
-    """Name the node of each runner that answers."""
+def list_runners(algorithm):
+    """Return the node and the process of each runner that answers."""
     group = algorithm.env_runner_group
-    told = group.foreach_env_runner(
-        lambda runner: (ray.get_runtime_context().get_node_id(), os.getpid()),
-        local_env_runner=False,
-        timeout_seconds=20,
+    return list(
+        group.foreach_env_runner(
+            lambda runner: (get_runtime_context().get_node_id(), os.getpid()),
+            local_env_runner=False,
+            timeout_seconds=20,
+        )
     )
-    return list(told)
 
 
-def train(algorithm, text):
-    """Train an iteration, and tell what it collected: all decisions so far, runners that answer."""
-    began = time.perf_counter()
-    decisions = algorithm.train()["env_runners"]["num_env_steps_sampled_lifetime"]
-    runners = algorithm.env_runner_group.num_healthy_remote_workers()
-    seconds = time.perf_counter() - began
-    print(
-        f"  {text}, iteration {algorithm.iteration}: {decisions:.0f} decisions, "
-        f"{runners} runners answer, {seconds:.1f} s",
-        flush=True,
-    )
-    return decisions, runners
+def train_until(algorithm, runners, iterations):
+    """Train until a number of runners answer, and return the number of iterations.
+
+    Raises:
+        RuntimeError: If an iteration collects nothing, or runners do not return.
+    """
+    collected = algorithm.metrics.peek(("env_runners", "num_env_steps_sampled_lifetime"), default=0)
+    count = answering = 0
+    while count < iterations or answering != runners:
+        result = algorithm.train()["env_runners"]["num_env_steps_sampled_lifetime"]
+        answering = algorithm.env_runner_group.num_healthy_remote_workers()
+        if result <= collected:
+            raise RuntimeError(f"iteration {algorithm.iteration} collected nothing")
+        collected, count = result, count + 1
+        if count > MAX_ITERATIONS:
+            raise RuntimeError(f"{answering} runners answer, not {runners}")
+    return count
 
 
-def train_on(algorithm, text, runners):
-    """Train until so many runners answer, and at least `ITERATIONS`; each must collect."""
-    before, count, answering = 0, 0, 0
-    while count < ITERATIONS or answering != runners:
-        decisions, answering = train(algorithm, text)
-        assert decisions > before, "nothing was collected"
-        before, count = decisions, count + 1
-        assert count <= MOST, f"{answering} runners answer, not {runners}"
+def weights(algorithm):
+    """Return the weights of the policy as one array."""
+    state = algorithm.get_module("drones").get_state()
+    return np.concatenate([np.ravel(array) for _, array in sorted(state.items())])
 
 
-def fly(nodes):
-    """Train on so many nodes with a runner each, lose a node, and train on."""
-    cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1, **options()})
-    extra = [cluster.add_node(num_cpus=1, **options()) for _ in range(nodes - 1)]
-    cluster.wait_for_nodes()
-    connect(cluster.address, log_to_driver=False)
-    algorithm = configure(nodes).build_algo()
+def fly(count, iterations):
+    """Train on a cluster, kill a runner and a node, and return the iterations of each phase."""
+    phases = {}
+    with start_nodes(count) as (cluster, nodes):
+        connect(cluster.address, log_to_driver=False)
+        algorithm = configure(count).build_algo()
+        try:
+            phases["before"] = train_until(algorithm, count, iterations)
+            runners = list_runners(algorithm)
+            assert len({node for node, _ in runners}) == count, f"runners are on {runners}"
+            os.kill(runners[-1][1], signal.SIGKILL)
+            phases["runner killed"] = train_until(algorithm, count, iterations)
+            # No other node has a free CPU for the lost runner
+            kill_node(cluster, nodes[-1])
+            phases["node killed"] = train_until(algorithm, count - 1, iterations)
+            add_node(cluster)
+            phases["node added"] = train_until(algorithm, count, iterations)
+            found = {node for node, _ in list_runners(algorithm)}
+            assert len(found) == count, f"runners are on {found}"
+            phases["restored"] = continue_from_checkpoint(algorithm, count, iterations)
+        finally:
+            algorithm.stop()
+    return phases
+
+
+def continue_from_checkpoint(algorithm, count, iterations):
+    """Stop an algorithm, train another one from its checkpoint, and return the iterations."""
+    path = algorithm.save_to_path(str(Path(FOLDER.name, f"checkpoint{count}")))
+    last, trained = algorithm.iteration, weights(algorithm)
+    algorithm.stop()
+    restored = Algorithm.from_checkpoint(path)
     try:
-        told = places(algorithm)
-        assert len({node for node, _ in told}) == nodes, f"runners are on {told}"
-        print(f"{nodes} nodes: a runner on each, processes {[pid for _, pid in told]}")
-        train_on(algorithm, f"{nodes} nodes", nodes)
-        # A runner dies: RLlib makes another one in its place
-        victim = told[-1][1]
-        os.kill(victim, signal.SIGKILL)
-        print(f"{nodes} nodes: kill -9 of runner {victim}")
-        train_on(algorithm, f"{nodes} nodes", nodes)
-        again = places(algorithm)
-        assert len({node for node, _ in again}) == nodes, f"runners are on {again}"
-        print(f"{nodes} nodes: processes {[pid for _, pid in again]}")
-        # A whole node dies, and no other one has room for its runner
-        cluster.remove_node(extra[-1], allow_graceful=False)
-        print(f"{nodes} nodes: one is killed with all its processes")
-        train_on(algorithm, f"{nodes - 1} of {nodes} nodes", nodes - 1)
+        assert restored.iteration == last
+        assert np.array_equal(weights(restored), trained)
+        return train_until(restored, count, iterations)
     finally:
-        algorithm.stop()
-        ray.shutdown()
-        cluster.shutdown()
-
-
-def options():
-    """Give what all nodes need: little memory, and no dashboard."""
-    return {"object_store_memory": 100 * 2**20, "include_dashboard": False}
+        restored.stop()
 
 
 def main():
-    """Fly on 2 and on 4 nodes, and see what a missing cluster says."""
-    # Where Ray notes the address of the cluster
-    Path(FOLDER.name, "ray").mkdir()
-    for nodes in (2, 4):
-        fly(nodes)
-    try:
-        connect("127.0.0.1:1")
-    except ConnectionError as error:
-        print(f"no cluster: {error}")
+    """Train on clusters."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--nodes", type=int, nargs="+", default=(2, 4), help="sizes of clusters")
+    parser.add_argument("--iterations", type=int, default=2, help="in each phase, at least")
+    given = parser.parse_args()
+    for count in given.nodes:
+        began = time.perf_counter()
+        phases = fly(count, given.iterations)
+        row = {"nodes": count, "iterations": phases}
+        print(json.dumps({**row, "seconds": round(time.perf_counter() - began, 1)}), flush=True)
 
 
 if __name__ == "__main__":

@@ -203,6 +203,24 @@ def test_benchmarl_trains_with_each_algorithm(tmp_path):
     subprocess.run(command, check=True, env=variables, cwd=tmp_path)
 
 
+@pytest.fixture(scope="session")
+def ray_python(tmp_path_factory):
+    """Interpreter of an environment with the extra rllib, made in a minute or two."""
+    place = tmp_path_factory.mktemp("ray") / "venv"
+    subprocess.run([sys.executable, "-m", "venv", place], check=True)
+    pip = [place / "bin" / "pip", "install", "-q", "-c", ROOT / "constraints" / "rllib.txt"]
+    subprocess.run([*pip, "-e", f"{ROOT}[rllib]"], check=True)
+    return place / "bin" / "python"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["ray", "rllib"])
+def test_work_goes_on_when_nodes_are_killed(ray_python, name):
+    """On 2 and on 4 local nodes; .ci/run runs this."""
+    variables = {**os.environ, "OMP_NUM_THREADS": "1"}
+    subprocess.run([ray_python, HERE / f"{name}_cluster.py"], check=True, env=variables)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["rllib", "rllib_adapter", "torchrl", "supersuit"])
 def test_the_client_itself_flies(python, name):
