@@ -14,6 +14,7 @@ Results are in the folder `results` of the EPyMARL checkout, or next to this scr
 """
 
 import importlib.util
+import logging
 import runpy
 import sys
 import types
@@ -31,6 +32,8 @@ def run_epymarl(checkout: Path, arguments: list[str]) -> None:
     # EPyMARL always imports this environment, which is in no package index
     if importlib.util.find_spec("smaclite") is None:
         sys.modules["smaclite"] = types.ModuleType("smaclite")
+    # EPyMARL logs everything, and Numba's log of a compilation has 100,000 lines
+    logging.getLogger("numba").setLevel(logging.WARNING)
     from envs import REGISTRY
 
     register_pymarl(REGISTRY)

@@ -4,7 +4,9 @@
 programs themselves are run by hand, see `tests/clients`.
 """
 
+import importlib.util
 import pickle
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -380,3 +382,58 @@ def test_moves_out_of_the_arena_are_not_available_with_masks():
     assert available[:, :, 0].all()
     assert not available.all()
     env.close()
+
+
+@pytest.fixture
+def example():
+    """The example that evaluates agents of these programs."""
+    path = Path(__file__).parents[2] / "examples" / "pymarl" / "evaluate.py"
+    spec = importlib.util.spec_from_file_location("evaluate_pymarl", path)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def save_agent(folder, observed, *, recurrent=False):
+    """Write the file of an agent as these programs do, and return its network."""
+    import torch
+
+    torch.manual_seed(0)
+    kind = torch.nn.GRUCell if recurrent else torch.nn.Linear
+    layers = {"fc1": torch.nn.Linear(observed, 8), "rnn": kind(8, 8), "fc2": torch.nn.Linear(8, 7)}
+    torch.save(torch.nn.ModuleDict(layers).state_dict(), folder / "agent.th")
+    order = [layers["fc1"], torch.nn.ReLU(), layers["rnn"], torch.nn.ReLU(), layers["fc2"]]
+    return torch.nn.Sequential(*order)
+
+
+def test_a_saved_agent_flies_its_actions_of_highest_value(example, tmp_path):
+    import torch
+
+    network = save_agent(tmp_path, 55)
+    seen = np.random.default_rng(0).uniform(-40, 40, (200, 55)).astype(np.float32)
+    for compress in (False, True):
+        given = np.sign(seen) * np.log1p(np.abs(seen)) if compress else seen
+        wanted = network(torch.as_tensor(given)).argmax(dim=1).numpy()
+        found = example.load_agent(tmp_path, compress)(seen)
+        np.testing.assert_array_equal(found, wanted)
+        assert len(set(found)) > 2
+
+
+def test_agents_with_memory_or_other_inputs_are_named(example, tmp_path):
+    save_agent(tmp_path, 55, recurrent=True)
+    with pytest.raises(ValueError, match="train with use_rnn=False"):
+        example.load_agent(tmp_path, True)
+    save_agent(tmp_path, 58)
+    with pytest.raises(ValueError, match="takes 58 numbers, a drone observes 55: train with obs_"):
+        example.load_agent(tmp_path, True)(np.zeros((3, 55), np.float32))
+
+
+def test_the_example_evaluates_the_task_of_its_configuration(
+    example, tmp_path, monkeypatch, capsys
+):
+    save_agent(tmp_path, 55)
+    monkeypatch.setattr("sys.argv", ["evaluate.py", str(tmp_path), "--episodes", "2"])
+    example.main()
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split(":")[0] for line in lines] == ["trained", "random", "stay"]
+    assert all("2 episodes from seed 1000: success 0.000 [" in line for line in lines)
