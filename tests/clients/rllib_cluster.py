@@ -26,8 +26,8 @@ from bulletuav.adapters.rllib import DroneMultiAgentEnv, connect, log_outcomes, 
 from bulletuav.adapters.rllib_vector import BatchEnvRunner
 
 OPTIONS = {"difficulty": "easy", "num_drones": 4, "dynamics": "point_mass", "horizon": 60}
-MAX_ITERATIONS = 100
-"""Maximum number of iterations until a runner has returned"""
+TIMEOUT = 600.0
+"""Maximum time until lost runners have returned, s; a start takes a minute on a busy machine"""
 
 
 def configure(runners):
@@ -71,14 +71,15 @@ def train_until(algorithm, runners, iterations):
     """
     collected = algorithm.metrics.peek(("env_runners", "num_env_steps_sampled_lifetime"), default=0)
     count = answering = 0
+    began = time.perf_counter()
     while count < iterations or answering != runners:
         result = algorithm.train()["env_runners"]["num_env_steps_sampled_lifetime"]
         answering = algorithm.env_runner_group.num_healthy_remote_workers()
         if result <= collected:
             raise RuntimeError(f"iteration {algorithm.iteration} collected nothing")
         collected, count = result, count + 1
-        if count > MAX_ITERATIONS:
-            raise RuntimeError(f"{answering} runners answer, not {runners}")
+        if time.perf_counter() - began > TIMEOUT:
+            raise RuntimeError(f"{answering} runners answer, not {runners}, after {TIMEOUT} s")
     return count
 
 
