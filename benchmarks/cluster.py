@@ -60,10 +60,11 @@ PHASES = ("before", "runner killed", "node killed", "node added", "restored")
 LOSSES = """\
 # Clusters: losses of nodes
 
-Written by `python benchmarks/cluster.py --losses docs/lab/cluster.md` on {date}, with Ray {ray}.
-The nodes are Ray's own, on one machine: each has a raylet, an object store of 100 MiB and one CPU.
-They share two cores with other work, so the times show no speed. CI runs both programs, with fewer
-episodes. How to use a cluster: [Spread runs over processes and machines](../howto/cluster.md).
+Written by `python benchmarks/cluster.py --losses docs/lab/cluster.md --episodes {episodes}` on
+{date}, with Ray {ray}. The nodes are Ray's own, on one machine: each has a raylet, an object
+store of 100 MiB and one CPU. They share two cores with other work, so the times show no speed. CI
+runs both programs. How to use a cluster: [Spread runs over processes and
+machines](../howto/cluster.md).
 
 ## Evaluation
 
@@ -268,6 +269,7 @@ def describe_losses(evaluation: list[dict[str, Any]], training: list[dict[str, A
     return LOSSES.format(
         date=date.today().isoformat(),
         ray=version("ray"),
+        episodes=evaluation[0]["episodes"],
         evaluation="\n".join(flown),
         phases=" | ".join(PHASES),
         dashes="---:|" * len(PHASES),

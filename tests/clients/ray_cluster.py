@@ -83,7 +83,7 @@ def main():
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--nodes", type=int, nargs="+", default=(2, 4), help="sizes of clusters")
-    parser.add_argument("--episodes", type=int, default=200)
+    parser.add_argument("--episodes", type=int, default=400)
     given = parser.parse_args()
     place = Path(FOLDER.name)
     began = time.perf_counter()
