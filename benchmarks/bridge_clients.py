@@ -298,7 +298,7 @@ class AirsimConnection:
 class AirsimClients(Clients):
     """Client of AirSim's calls: `moveToPosition`, and states that are read again and again."""
 
-    command_hz = 0.5
+    command_hz = 1e-3  # motions last until the next one
     READ_PERIOD, IDLE_PERIOD = 0.002, 0.05
     """Times between requests for states, with and without a watched vehicle, s"""
 

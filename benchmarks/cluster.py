@@ -63,7 +63,7 @@ LOSSES = """\
 Written by `python benchmarks/cluster.py --losses docs/lab/cluster.md --episodes {episodes}` on
 {date}, with Ray {ray}. The nodes are Ray's own, on one machine: each has a raylet, an object
 store of 100 MiB and one CPU. They share two cores with other work, so the times show no speed. CI
-runs both programs. How to use a cluster: [Spread runs over processes and
+runs both programs, RLlib's on 2 nodes. How to use a cluster: [Spread runs over processes and
 machines](../howto/cluster.md).
 
 ## Evaluation

@@ -145,6 +145,8 @@ def measure(task: str, axis: str, value: Any, episodes: int) -> Row:
         options = find_policy("trained", task).complete(task, {**BASE, **own})
         with contextlib.closing(bulletuav.Aviary(task, **options)) as aviary:
             find_policy("trained", task)(aviary)
+            # A reset raises the error if there is no room for so many drones
+            aviary.reset(seeds=SEED)
     except ValueError as error:
         return row._replace(reason=" ".join(str(error).split()))
     policy = late(task, value if axis == LATENCY else 0)

@@ -48,6 +48,13 @@ def test_conditions_that_are_refused_have_a_reason_and_no_number(transfer):
     assert "`hover`, dynamics point_mass;" in page
 
 
+@pytest.mark.filterwarnings("ignore:the package's policy")
+def test_too_many_drones_for_their_starts_have_a_reason(transfer):
+    row = transfer.measure("pursuit_evasion", "num_drones", 32, 1)
+    assert (row.mean, transfer.cell(row)) == ("", "-")
+    assert "no room" in row.reason
+
+
 def test_rows_are_flown_once(transfer, tmp_path, monkeypatch):
     monkeypatch.setitem(transfer.AXES, "wind", (0.0, 1.0))
     calls = []

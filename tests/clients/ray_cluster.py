@@ -45,10 +45,14 @@ def is_flying(node):
 
 
 def fly(count, episodes, folder):
-    """Evaluate on a cluster, kill nodes meanwhile, and return the episodes finished before each.
+    """Evaluate on a cluster, and kill nodes meanwhile.
+
+    Returns:
+        The number of episodes finished before each loss; fewer than `count` - 1 numbers if the
+        evaluation ended before.
 
     Raises:
-        RuntimeError: If the evaluation fails, or ends before all these nodes are killed.
+        RuntimeError: If the evaluation fails.
     """
     killed = []
     with start_nodes(count) as (cluster, nodes):
@@ -56,18 +60,15 @@ def fly(count, episodes, folder):
             [*command(episodes), "--out", folder, "--ray", cluster.address],
             stdout=subprocess.DEVNULL,
         )
-        for k, node in enumerate(nodes):
+        while flight.poll() is None:
             # The k-th of n - 1 nodes is killed when at least k / n of the episodes are flown
-            while count_episodes(folder) <= k * episodes // count or not is_flying(node):
-                if flight.poll() is not None:
-                    raise RuntimeError(
-                        f"the evaluation ended ({flight.returncode}) after {len(killed)} of "
-                        f"{len(nodes)} losses: fly more episodes"
-                    )
-                time.sleep(POLL)
-            killed.append(count_episodes(folder))
-            kill_node(cluster, node)
-        if flight.wait() != 0:
+            k = len(killed)
+            due = k < len(nodes) and count_episodes(folder) > k * episodes // count
+            if due and is_flying(nodes[k]):
+                killed.append(count_episodes(folder))
+                kill_node(cluster, nodes[k])
+            time.sleep(POLL)
+        if flight.returncode != 0:
             raise RuntimeError(f"the evaluation failed: exit status {flight.returncode}")
     return killed
 
@@ -85,17 +86,25 @@ def main():
     parser.add_argument("--nodes", type=int, nargs="+", default=(2, 4), help="sizes of clusters")
     parser.add_argument("--episodes", type=int, default=400)
     given = parser.parse_args()
-    place = Path(FOLDER.name)
-    began = time.perf_counter()
-    local = [*command(given.episodes), "--out", place / "local"]
-    subprocess.run(local, check=True, stdout=subprocess.DEVNULL)
-    report(nodes=0, episodes=given.episodes, killed=[], began=began)
+    episodes = given.episodes
     for count in given.nodes:
-        folder = place / f"nodes{count}"
+        # A fast machine may fly all episodes before all nodes are killed
+        while len(compare(count, episodes)) < count - 1:
+            episodes *= 2
+
+
+def compare(count, episodes):
+    """Evaluate on a cluster, compare the files with those of one process, and return the losses."""
+    local, folder = (Path(FOLDER.name, f"{nodes}_{episodes}") for nodes in (0, count))
+    if not local.exists():
         began = time.perf_counter()
-        killed = fly(count, given.episodes, folder)
-        assert read_files(folder) == read_files(place / "local"), f"{count} nodes: other files"
-        report(nodes=count, episodes=given.episodes, killed=killed, began=began)
+        subprocess.run([*command(episodes), "--out", local], check=True, stdout=subprocess.DEVNULL)
+        report(nodes=0, episodes=episodes, killed=[], began=began)
+    began = time.perf_counter()
+    killed = fly(count, episodes, folder)
+    assert read_files(folder) == read_files(local), f"{count} nodes: other files"
+    report(nodes=count, episodes=episodes, killed=killed, began=began)
+    return killed
 
 
 def report(began, **row):
