@@ -21,7 +21,7 @@ from bulletuav.bridges.crazyflie_toc import LOGS
 
 NUM_PORTS = 200
 """Ports that the server of one kind and its clients need"""
-SWING = 0.25
+HALF_STROKE = 0.25
 """Distance of the commanded points from the start, m"""
 HEIGHT = 1.5
 """Height of flight, m"""
@@ -149,7 +149,7 @@ class CrazyflieClients(DatagramClients):
     def __init__(self, num_vehicles: int, port: int) -> None:
         """Prepare for a number of drones. The server has one more, for `visit`."""
         super().__init__(num_vehicles, port)
-        # In rows of ten, since the default grid of 0.5 m is too narrow for `SWING`
+        # In rows of ten, since the default grid of 0.5 m is too narrow for `HALF_STROKE`
         self._starts = [(2.0 * (k % 10), 2.0 * (k // 10)) for k in range(num_vehicles + 1)]
         positions = [str(coordinate) for start in self._starts for coordinate in start]
         self.words = ("crazyflie", "--port", str(port), "--positions", *positions)
@@ -166,7 +166,9 @@ class CrazyflieClients(DatagramClients):
     def send(self, k: int, side: int) -> None:
         """Send a position; drones face east (x), which is their north here."""
         x, y = self._starts[k]
-        self._sockets[k].send(struct.pack("<BBffff", 0x7C, 7, x + SWING * side, y, HEIGHT, 0.0))
+        self._sockets[k].send(
+            struct.pack("<BBffff", 0x7C, 7, x + HALF_STROKE * side, y, HEIGHT, 0.0)
+        )
 
     def _read(self, k: int, datagram: bytes) -> Iterator[Reading]:
         """Return the reading of a packet of the log block."""
@@ -205,7 +207,7 @@ class MavlinkClients(DatagramClients):
         self._positions = {
             (k, side): pack_mavlink(
                 "set_position_target_local_ned",
-                *(0, k + 1, 1, 1, 0xDF8, SWING * side, 0.0, -HEIGHT, *[0.0] * 8),
+                *(0, k + 1, 1, 1, 0xDF8, HALF_STROKE * side, 0.0, -HEIGHT, *[0.0] * 8),
             )
             for k in range(num_vehicles)
             for side in (1, -1)
@@ -321,7 +323,7 @@ class AirsimClients(Clients):
     def send(self, k: int, side: int) -> None:
         """Send a position."""
         free = (0, {"is_rate": True, "yaw_or_rate": 0.0}, -1, 1)
-        position = (SWING * side, 0.0, -HEIGHT, 5.0, 60.0)
+        position = (HALF_STROKE * side, 0.0, -HEIGHT, 5.0, 60.0)
         self.connection.send("moveToPosition", *position, *free, self.names[k])
 
     def receive(self, seconds: float, watched: Collection[int]) -> list[Reading]:

@@ -1,4 +1,4 @@
-"""Measure the servers of `bulletuav serve` in real time, at full speed, and for an hour.
+"""Measure the servers of `bulletuav serve` in real time, and their memory for an hour.
 
     python benchmarks/bridges.py --out docs/benchmarks/adapters.md
     python benchmarks/bridges.py --soak 3600 --log soak.csv
@@ -11,9 +11,10 @@ first telemetry whose pitch rate has changed by 0.02 rad/s in the new direction.
 the steps of these servers. Autopilots in the loop (`hil`) command motors at 250 Hz; their delay is
 the time from sending motor commands to the next measurement, which these motors have changed.
 
+A command without an effect within 2 s, when the next one comes, is missed, and has no delay.
+
 The real-time factor is simulated time per time, both by the telemetry. Processor time is that of
-the server and its children, as a fraction of one core. "Unpaced" is simulated time per processor
-time with `--speed 1000`: the real-time factor if the server has a core to itself.
+the server and its children, as a fraction of one core.
 
 With `--soak`, the servers of AirSim, MAVLink and Crazyflie fly two vehicles each, and every minute
 one more client connects and disconnects. Resident memory is flat if the line fitted to its second
@@ -60,8 +61,6 @@ READ_AHEAD = 0.05
 """Time before a command from which on telemetry of its vehicle is read, s"""
 SETTLING_TIME = 6.0
 """Time for taking off, s"""
-UNPACED = 1000.0
-"""Speed that no server reaches"""
 SAMPLE_PERIOD, VISIT_PERIOD = 10.0, 60.0
 """Times between samples of memory, and between visits of one more client, s"""
 MAX_GROWTH = 1.0
@@ -130,7 +129,7 @@ def fly(clients: Clients, seconds: float, stop: threading.Event | None = None) -
         stop: Event that ends the flight earlier.
 
     Returns:
-        What the clients measured.
+        The real-time factor, the delays and the number of missed commands.
     """
     count = clients.num_vehicles
     begin = now = time.perf_counter()
@@ -166,39 +165,19 @@ def fly(clients: Clients, seconds: float, stop: threading.Event | None = None) -
 
 
 def measure(kind: str, count: int, seconds: float, port: int) -> list[str]:
-    """Measure a server with a number of vehicles.
-
-    Returns:
-        The cells of its row.
-    """
-    (flight, share), (fast, fast_share) = (
-        measure_flight(kind, count, *given, port)
-        for given in ((seconds, 1.0), (seconds / 5, UNPACED))
-    )
-    return make_row(kind, count, flight, share, fast.factor / fast_share)
-
-
-def measure_flight(
-    kind: str, count: int, seconds: float, speed: float, port: int
-) -> tuple[Flight, float]:
-    """Fly all vehicles of a server for a time.
-
-    Returns:
-        The flight, and the processor time of the server as a fraction of one core.
-    """
+    """Fly all vehicles of a server for a time, and return the cells of its row."""
     clients = KINDS[kind](count, port)
-    with serve(*clients.words, "--speed", str(speed)) as server, contextlib.closing(clients):
+    with serve(*clients.words) as server, contextlib.closing(clients):
         clients.connect()
         fly(clients, SETTLING_TIME)
         cpu, begin = server.cpu_time(), time.perf_counter()
         flight = fly(clients, seconds)
-        return flight, (server.cpu_time() - cpu) / (time.perf_counter() - begin)
+        cpu_fraction = (server.cpu_time() - cpu) / (time.perf_counter() - begin)
+    return make_row(kind, count, flight, cpu_fraction)
 
 
-def make_row(kind: str, count: int, flight: Flight, share: float, unpaced: float) -> list[str]:
+def make_row(kind: str, count: int, flight: Flight, cpu_fraction: float) -> list[str]:
     """Return the cells of a row."""
-    if flight.missed:
-        print(f"{kind}, {count}: {flight.missed} commands without an effect", file=sys.stderr)
     return [
         kind,
         str(count),
@@ -206,21 +185,15 @@ def make_row(kind: str, count: int, flight: Flight, share: float, unpaced: float
         f"{1000 * statistics.median(flight.delays):.1f}",
         f"{1000 * max(flight.delays):.1f}",
         f"{len(flight.delays)}",
-        f"{100 * share:.0f} %",
-        f"{unpaced:.1f}",
+        f"{flight.missed}",
+        f"{100 * cpu_fraction:.0f} %",
     ]
 
 
-def answer_measurements(
-    count: int, seconds: float, speed: float, port: int
-) -> tuple[Flight, float]:
-    """Answer the measurements of all bodies for a time, as autopilots do.
-
-    Returns:
-        The flight, and the processor time of the server as a fraction of one core.
-    """
+def measure_hil(count: int, seconds: float, port: int) -> list[str]:
+    """Answer the measurements of all bodies for a time, as autopilots do; return their row."""
     answer = pack_mavlink("hil_actuator_controls", 2**62, [0.5] * 16, 128, 1)
-    words = ("--drones", str(count), "--port", str(port), "--speed", str(speed))
+    words = ("--drones", str(count), "--port", str(port))
     delays, seen = [], 0
     with (
         serve("hil", *words) as server,
@@ -245,15 +218,9 @@ def answer_measurements(
                 sent[key.fileobj] = time.perf_counter()
                 key.fileobj.send(answer)
         lasted = time.perf_counter() - begin
-        share = (server.cpu_time() - cpu) / lasted
-    return Flight(seen / count / HIL_HZ / lasted, delays, 0), share
-
-
-def measure_hil(count: int, seconds: float, port: int) -> list[str]:
-    """Measure bodies of autopilots; return the cells of their row."""
-    flight, share = answer_measurements(count, seconds, 1.0, port)
-    fast, fast_share = answer_measurements(count, seconds / 5, UNPACED, port)
-    return make_row("hil", count, flight, share, fast.factor / fast_share)
+        cpu_fraction = (server.cpu_time() - cpu) / lasted
+    flight = Flight(seen / count / HIL_HZ / lasted, delays, 0)
+    return make_row("hil", count, flight, cpu_fraction)
 
 
 class Soak(NamedTuple):
@@ -416,7 +383,7 @@ def measure_pictures(seconds: float, port: int) -> str:
 
 HEADS = (
     *("server", "vehicles", "real-time factor", "median delay, ms", "worst delay, ms"),
-    *("commands", "processor", "unpaced"),
+    *("commands", "missed", "processor"),
 )
 LOCKSTEP_HEADS = (
     *("vehicles", "decisions/s", "times real time", "processor"),

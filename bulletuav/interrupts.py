@@ -139,6 +139,16 @@ def block_interrupts() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
+@contextlib.contextmanager
+def interrupt_on_terminate() -> Iterator[None]:
+    """Raise KeyboardInterrupt for SIGTERM, too, inside the `with` block."""
+    before = signal.signal(signal.SIGTERM, _raise_interrupt)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
 if is_command() and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
     signal.signal(signal.SIGINT, exit_on_interrupt)
     atexit.register(_exit_after_interrupt)  # registered first, so called last

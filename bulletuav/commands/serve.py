@@ -1,6 +1,7 @@
 """`bulletuav serve`: simulated drones for external client programs."""
 
 import argparse
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,7 @@ from bulletuav.commands.replay import PAGES
 from bulletuav.envs.airspace import Airspace
 from bulletuav.envs.viewer import join_address
 from bulletuav.errors import find_choice, shown
+from bulletuav.interrupts import interrupt_on_terminate
 from bulletuav.report.replay import write_replay
 
 
@@ -61,6 +63,8 @@ def _check_page(path: Path) -> None:
         raise ValueError(f"--replay is {path}: its name has to end in .html")
     if not path.parent.is_dir():
         raise NotADirectoryError(f"no folder {shown(str(path.parent))}: create it for the replay")
+    if path.is_dir() or not os.access(path if path.exists() else path.parent, os.W_OK):
+        raise PermissionError(f"{shown(str(path))} cannot be written: name another file")
 
 
 def _serve(
@@ -94,12 +98,13 @@ def _serve(
 
 
 def _serve_recorded(flown: Any, server: Any, arguments: argparse.Namespace) -> None:
-    """Serve, and write the replay at the end, also after an interrupt or an error."""
+    """Serve, and write the replay at the end, also after SIGINT, SIGTERM or an error."""
     with FleetRecorder(flown) as recorder:
         if isinstance(flown, AirsimWorld):
             flown.markers = recorder.markers
         try:
-            server.run(arguments.seconds)
+            with interrupt_on_terminate():
+                server.run(arguments.seconds)
         finally:
             if recorder.has_rows:
                 recording = recorder.recording()

@@ -1,4 +1,4 @@
-"""Evaluate drones that train.py has trained, beside random flight and standing still.
+"""Evaluate drones that train.py has trained, and random flight and standing still.
 
 The first argument is a folder with `agent.th`, which the programs write with `save_model=True`. The
 task is that of `bulletuav.yaml` next to this script. The network must be the programs' own, without

@@ -3,6 +3,10 @@
 import json
 import logging
 import math
+import signal
+import subprocess
+import sys
+import time
 
 import numpy as np
 import pytest
@@ -200,8 +204,28 @@ def test_a_server_that_nothing_flies_writes_no_replay(tmp_path, capsys):
     assert not page.exists()
 
 
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_servers_that_are_ended_by_a_signal_write_replays(number, tmp_path):
+    page = tmp_path / "flight.html"
+    words = ["serve", "crazyflie", "--port", "0", "--replay", str(page)]
+    command = [sys.executable, "-m", "bulletuav", *words]
+    server = subprocess.Popen(
+        command,
+        stdout=subprocess.PIPE,
+        text=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+    )
+    assert " at " in server.stdout.readline()
+    time.sleep(0.5)
+    server.send_signal(number)
+    output, _ = server.communicate(timeout=60)
+    assert "wrote" in output
+    assert Block.of_page(page).about["drones"] == 1
+
+
 def test_names_of_replays_are_checked_before_the_flight(tmp_path):
-    for name in ("flight.mp4", "nowhere/flight.html"):
+    (tmp_path / "folder.html").mkdir()
+    for name in ("flight.mp4", "nowhere/flight.html", "folder.html"):
         with pytest.raises(SystemExit) as end:
             main(["serve", "airsim", "--port", "0", "--replay", str(tmp_path / name)])
         assert end.value.code
