@@ -10,6 +10,7 @@ A drone whose episode has ended is absent until its whole world is reset. Meanwh
 False, its observation and reward are zero, its "done" stays True, and its actions are ignored.
 """
 
+import operator
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -42,11 +43,9 @@ PROCESSES = ("workers", "start_method", "timeout")
 """Options of `batch_env` that are not options of the environment"""
 
 
-PRESET = frozenset({"next", "_step"})
+PRESET_KEYS = frozenset({"next", "_step"})
 """Entries that change a step of TorchRL"""
-REPLACED = frozenset({"_compiled_step_and_maybe_reset", "_post_step_mdp_hooks"})
-"""Attributes that change a step of TorchRL"""
-Arrays = dict[str, Any]
+GroupArrays = dict[str, Any]
 """Arrays (W, N, ...) of drones by their key in a group, or dicts of such arrays"""
 
 
@@ -134,9 +133,9 @@ class DroneTensorEnv(Environment, EnvBase):  # type: ignore[misc]  # has no type
         self._make_specs(spec, rows)
         if not chooses:
             # Not a method: TorchRL rejects transforms of actions if a class overrides `rand_action`
-            self.rand_action = _random_actions(self.full_action_spec)
+            self.rand_action = _make_sampler(self)
         # Arrays of the last step or reset, which resets of some worlds keep for the others
-        self._last: Arrays = {}
+        self._last: GroupArrays = {}
         self._ends = np.empty((4, num_worlds, drones, 1), bool)
         self._world_ends = np.empty((3, num_worlds, 1), bool)
         self._write_ends()
@@ -225,7 +224,7 @@ class DroneTensorEnv(Environment, EnvBase):  # type: ignore[misc]  # has no type
         self._terminated |= worlds[:, None] & ~self._alive
         arrays = self._collect_arrays(observations, info, self._alive)
         if not worlds.all():
-            _keep(arrays, self._last, ~worlds)
+            _restore_worlds(arrays, self._last, ~worlds)
         self._last = arrays
         self._write_ends()
         return self._make_tensors(arrays)
@@ -240,7 +239,9 @@ class DroneTensorEnv(Environment, EnvBase):  # type: ignore[misc]  # has no type
         return tensordict.update(tensordict_reset)
 
     def _step_proc_data(self, next_tensordict_out: TensorDictBase) -> TensorDictBase:
-        """Return the data of a step unchanged: shapes and types are those of the specs."""
+        """Return the data of a step, whose shapes are those of the specs, unchanged."""
+        if self.run_type_checks:
+            super()._step_proc_data(next_tensordict_out)
         return next_tensordict_out
 
     @classmethod
@@ -271,7 +272,7 @@ class DroneTensorEnv(Environment, EnvBase):  # type: ignore[misc]  # has no type
             self._truncated = self._truncated | truncated
             self._alive = self.batch.alive
             self._write_ends()
-        return self._make_tensors({**self._last, "reward": _numbers(rewards)})
+        return self._make_tensors({**self._last, "reward": _to_float_column(rewards)})
 
     def step_and_maybe_reset(
         self, tensordict: TensorDictBase
@@ -280,12 +281,7 @@ class DroneTensorEnv(Environment, EnvBase):  # type: ignore[misc]  # has no type
 
         The data of the next decision are made from those of the step without searches by key.
         """
-        if (
-            type(tensordict) is not TensorDict
-            or tensordict.device != self.device
-            or not PRESET.isdisjoint(tensordict.keys())
-            or not REPLACED.isdisjoint(self.__dict__)
-        ):
+        if not self._is_plain(tensordict):
             usual: tuple[TensorDictBase, TensorDictBase] = super().step_and_maybe_reset(tensordict)
             return usual
         entries = _shallow_copy(tensordict)
@@ -301,6 +297,20 @@ class DroneTensorEnv(Environment, EnvBase):  # type: ignore[misc]  # has no type
         data = TensorDict._new_unsafe(entries, batch_size=self.batch_size, device=self.device)
         return tensordict, self.maybe_reset(data)
 
+    def _is_plain(self, tensordict: TensorDictBase) -> bool:
+        """Return True if TorchRL's own step would neither check nor change more than `_step`."""
+        return (
+            type(tensordict) is TensorDict
+            and tensordict.batch_size == self.batch_size
+            and tensordict.device == self.device
+            and not any(tensordict.names)
+            and PRESET_KEYS.isdisjoint(tensordict.keys())
+            and not self.run_type_checks
+            # torchrl 0.11 has no such attribute
+            and getattr(self, "_post_step_mdp_hooks", None) is None
+            and "_compiled_step_and_maybe_reset" not in self.__dict__
+        )
+
     def _actions(self, tensordict: TensorDictBase) -> np.ndarray:
         """Collect the actions of all groups: (W, N, A), or (W, N) discrete."""
         for group, rows in self._rows.items():
@@ -314,16 +324,16 @@ class DroneTensorEnv(Environment, EnvBase):  # type: ignore[misc]  # has no type
 
     def _collect_arrays(
         self, observations: Observation, info: dict[str, Any], flown: np.ndarray
-    ) -> Arrays:
+    ) -> GroupArrays:
         """Collect the arrays of all worlds, with zeros for drones not in `flown` (W, N)."""
-        arrays: Arrays = {"observation": observations}
+        arrays: GroupArrays = {"observation": observations}
         if self._infos:
             arrays["info"] = {
-                name: _numbers(find_choice("info", name, info)) for name in self._infos
+                name: _to_float_column(find_choice("info", name, info)) for name in self._infos
             }
         if not flown.all():
             # In place: no other code uses these arrays
-            _clear(arrays, ~flown)
+            _clear_drones(arrays, ~flown)
         if self._has_masks:
             arrays[ACTION_MASK] = info[ACTION_MASK].astype(bool)
         return arrays
@@ -335,13 +345,13 @@ class DroneTensorEnv(Environment, EnvBase):  # type: ignore[misc]  # has no type
         self._world_ends[..., 0] = over, terminated, over & ~terminated
         self._ends[..., 0] = ~self._alive, self._terminated, self._truncated, self._alive
 
-    def _make_tensors(self, arrays: Arrays) -> TensorDictBase:
+    def _make_tensors(self, arrays: GroupArrays) -> TensorDictBase:
         """Return new tensors of arrays and ends, which belong to the caller."""
         entries = dict(zip(ENDS, torch.from_numpy(self._world_ends.copy()).unbind(0), strict=True))
         if self._has_state:
             entries["state"] = torch.from_numpy(self.batch.state())
         for group, rows in self._rows.items():
-            own = _copied(arrays, rows)
+            own = _copy_rows(arrays, rows)
             # One copy of all ends takes less time than four
             *ends, active = torch.from_numpy(self._ends[:, :, rows].copy()).unbind(0)
             own.update(zip(ENDS, ends, strict=True), mask=active.squeeze(-1))
@@ -399,8 +409,13 @@ def _index(rows: list[int]) -> Any:
     return slice(rows[0], rows[-1] + 1) if side_by_side else np.array(rows)
 
 
-def _random_actions(spec: Composite) -> Callable[..., TensorDictBase]:
-    """Return a function that sets random actions, equal to those of the spec in less time."""
+def _make_sampler(env: EnvBase) -> Callable[..., TensorDictBase]:
+    """Return a function that sets random actions, equal to those of the spec in less time.
+
+    Once the action spec or the device has changed, it calls `EnvBase.rand_action`.
+    """
+    spec, device = env.full_action_spec, env.device
+    bounds = _list_bounds(spec)
     spaces = {group: own["action"].space for group, own in spec.items()}
     low = torch.cat([one.low.flatten() for one in spaces.values()])
     high = torch.cat([one.high.flatten() for one in spaces.values()])
@@ -410,6 +425,9 @@ def _random_actions(spec: Composite) -> Callable[..., TensorDictBase]:
     empty = spec.zero()
 
     def rand_action(tensordict: TensorDictBase | None = None) -> TensorDictBase:
+        is_same = env.full_action_spec is spec and env.device == device
+        if not is_same or not all(map(operator.is_, _list_bounds(spec), bounds)):
+            return EnvBase.rand_action(env, tensordict)
         drawn: Any = torch.rand_like(low).mul_(span).add_(low)
         # Rounding may leave the bounds
         torch.clamp(drawn, low, high, out=drawn)
@@ -421,38 +439,45 @@ def _random_actions(spec: Composite) -> Callable[..., TensorDictBase]:
     return rand_action
 
 
+def _list_bounds(spec: Composite) -> list[Any]:
+    """Return the objects that define the bounds of actions; a change replaces some."""
+    return [one for own in spec.values() for one in vars(own["action"].space).values()]
+
+
 def _shallow_copy(data: TensorDictBase) -> dict[str, Any]:
     """Return the entries of data, with copies of nested data that share their tensors."""
     return {key: one if isinstance(one, torch.Tensor) else one.copy() for key, one in data.items()}
 
 
-def _numbers(array: np.ndarray) -> np.ndarray:
+def _to_float_column(array: np.ndarray) -> np.ndarray:
     """Return numbers (W, N) as float32 (W, N, 1)."""
     return array.astype(np.float32)[..., None]
 
 
-def _copied(arrays: Arrays, rows: Any) -> dict[str, Any]:
+def _copy_rows(arrays: GroupArrays, rows: Any) -> dict[str, Any]:
     """Return tensors that are copies of some drones' rows of arrays (W, N, ...)."""
     return {
-        key: _copied(one, rows) if isinstance(one, dict) else torch.from_numpy(one[:, rows].copy())
+        key: _copy_rows(one, rows)
+        if isinstance(one, dict)
+        else torch.from_numpy(one[:, rows].copy())
         for key, one in arrays.items()
     }
 
 
-def _clear(arrays: Arrays, drones: np.ndarray) -> None:
+def _clear_drones(arrays: GroupArrays, drones: np.ndarray) -> None:
     """Set the values of drones (W, N) bool to zero."""
     for one in arrays.values():
         if isinstance(one, dict):
-            _clear(one, drones)
+            _clear_drones(one, drones)
         else:
             one[drones] = 0
 
 
-def _keep(arrays: Arrays, last: Arrays, worlds: np.ndarray) -> None:
+def _restore_worlds(arrays: GroupArrays, last: GroupArrays, worlds: np.ndarray) -> None:
     """Set the values of worlds (W,) bool to the last ones, which are zeros if there are none."""
     for key, one in arrays.items():
         if isinstance(one, dict):
-            _keep(one, last.get(key, {}), worlds)
+            _restore_worlds(one, last.get(key, {}), worlds)
         else:
             one[worlds] = last[key][worlds] if key in last else 0
 

@@ -342,6 +342,46 @@ def test_random_actions_are_those_of_the_spec(options):
     env.close()
 
 
+def set_spec(env, key):
+    env.full_action_spec = halve(env.full_action_spec.clone(), key)
+
+
+def set_leaf(env, key):
+    env.set_spec_lock_(False)
+    env.full_action_spec[key] = halve(env.full_action_spec.clone(), key)[key]
+
+
+def set_bounds(env, key):
+    halve(env.full_action_spec, key)
+
+
+def halve(spec, key):
+    """Raise the lower bounds of actions from -1 to 0."""
+    space = spec[key].space
+    space.low = torch.zeros_like(space.low)
+    return spec
+
+
+@pytest.mark.parametrize("change", [set_spec, set_leaf, set_bounds])
+def test_random_actions_follow_changes_of_the_spec(change):
+    env = DroneTensorEnv("crossing", 2, **SHORT)
+    key = env.action_keys[0]
+    assert (env.rand_action()[key] < 0).any()
+    change(env, key)
+    assert all((env.rand_action()[key] >= 0).all() for _ in range(5))
+    env.close()
+
+
+def test_random_actions_are_on_the_present_device():
+    env = DroneTensorEnv("crossing", 2, **SHORT)
+    assert env.rand_action().device is None
+    env.to("cpu")
+    assert env.rand_action().device == torch.device("cpu")
+    data, _ = env.step_and_maybe_reset(env.rand_action(env.reset()))
+    assert data.device == torch.device("cpu")
+    env.close()
+
+
 @pytest.mark.parametrize("options", [{}, {"observation_format": "dict", "infos": ("success",)}])
 def test_steps_of_rollouts_are_those_of_torchrl(options):
     """Entries of a policy stay until it replaces them, as in TorchRL's own function."""
@@ -364,6 +404,80 @@ def test_steps_of_rollouts_are_those_of_torchrl(options):
         env.close()
     assert flown[0]["next", "done"].any()
     assert same(*flown)
+    # And their values are those of the batched environment
+    options = {name: value for name, value in options.items() if name != "infos"}
+    batch = bulletuav.batch_env("converge", 2, autoreset_mode="Disabled", **BREAK | options)
+    seen, _ = batch.reset(seed=0)
+    for now in flown[0].unbind(1):
+        alive = batch.alive
+        np.testing.assert_array_equal(now["drones", "mask"], alive)
+        assert_observed(now["drones", "observation"], seen, alive)
+        seen, rewards, _, _, info = batch.step(now["drones", "action"].numpy())
+        assert_observed(now["next", "drones", "observation"], seen, alive)
+        reward = now["next", "drones", "reward"][..., 0]
+        np.testing.assert_array_equal(reward, rewards.astype(np.float32))
+        np.testing.assert_array_equal(now["next", "drones", "done"][..., 0], ~batch.alive)
+        if ("next", "drones", "info", "success") in now.keys(True):
+            success = now["next", "drones", "info", "success"][..., 0]
+            np.testing.assert_array_equal(success, info["success"] * alive)
+        if batch.ended.any():
+            seen, _ = batch.reset(options={"reset_mask": batch.ended})
+    batch.close()
+
+
+def assert_observed(tensors, arrays, alive):
+    """Check that active drones' tensors are the arrays of the batched environment."""
+    pairs = [(tensors[key], arrays[key]) for key in arrays] if isinstance(arrays, dict) else None
+    for tensor, array in pairs or [(tensors, arrays)]:
+        np.testing.assert_array_equal(tensor[alive], array[alive])
+
+
+def test_a_batch_of_another_size_raises_before_the_step():
+    env = DroneTensorEnv("converge", 4, **BREAK)
+    env.set_seed(0)
+    data = env.rand_action(env.reset())
+    before = env.batch.state()
+    with pytest.raises(RuntimeError, match=r"got torch.Size\(\[1\]\) and torch.Size\(\[4\]\)"):
+        env.step_and_maybe_reset(data[:1].clone())
+    np.testing.assert_array_equal(env.batch.state(), before)
+    env.close()
+
+
+def test_hooks_of_subclasses_change_the_next_decision():
+    class Hooked(DroneTensorEnv):
+        def _post_step_mdp_hooks(self, done, after):
+            return done, after.set("hooked", torch.ones(self.batch_size))
+
+    env = Hooked("converge", 2, **BREAK)
+    _, after = env.step_and_maybe_reset(env.rand_action(env.reset()))
+    assert after["hooked"].all()
+    env.close()
+
+
+def test_types_are_checked_if_asked_for():
+    env = DroneTensorEnv("converge", 2, **BREAK)
+    spec = env.full_reward_spec.clone()
+    spec["drones", "reward"] = spec["drones", "reward"].to(torch.float64)
+    env.full_reward_spec = spec
+    env.step_and_maybe_reset(env.rand_action(env.reset()))
+    env.run_type_checks = True
+    for step in (env.step, env.step_and_maybe_reset):
+        with pytest.raises(TypeError, match=r"expected reward\.dtype"):
+            step(env.rand_action(env.reset()))
+    env.close()
+
+
+def test_names_of_dimensions_are_those_of_torchrl():
+    kept = []
+    for step in (DroneTensorEnv.step_and_maybe_reset, EnvBase.step_and_maybe_reset):
+        env = DroneTensorEnv("converge", 2, **BREAK)
+        data = env.rand_action(env.reset())
+        data.names = ["world"]
+        done, after = step(env, data)
+        kept.append([one.names for one in (done, done["next"], after, after["drones"])])
+        env.close()
+    assert kept[0] == kept[1]
+    assert kept[0][2] == ["world"]
 
 
 def test_rollouts_break_at_the_first_or_the_last_end():
