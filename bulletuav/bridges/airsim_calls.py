@@ -34,7 +34,6 @@ from bulletuav.bridges.airsim_vehicle import AirsimVehicle, Collision, RemoteCon
 from bulletuav.bridges.airsim_world import AirsimWorld
 from bulletuav.bridges.motions import DoneCallback
 from bulletuav.earth import frd_to_flu, ned_to_enu
-from bulletuav.engine.visual_scene import VisualScene
 from bulletuav.errors import as_int, as_sequence, shown, unknown
 from bulletuav.geometry.rotation import heading
 
@@ -378,10 +377,9 @@ class AirsimCalls:
     def _draw_images(self, name: str, arguments: list[Any]) -> Any:
         """Render the images of a call in this process."""
         call, airspace = self.parse_images(name, arguments), self.world.airspace
-        scene, poses = VisualScene(airspace.scene_contents), airspace.scene_poses()
         exposures = make_exposures(self.world, call.drone, call.requests)
         responses = [
-            make_response(exposure, *scene.draw(0, poses, exposure.view.shot))
+            make_response(exposure, *airspace.draw(exposure.view.shot, exposure.needs_bodies))
             for exposure in exposures
         ]
         return responses if call.is_list else responses[0]["image_data_uint8"]

@@ -160,7 +160,8 @@ def main() -> None:
         _write_response(answers, b"")
         while True:
             poses, exposure, is_list = jobs.recv()
-            result = make_response(exposure, *scene.draw(0, poses, exposure.view.shot))
+            drawn = scene.draw(0, poses, exposure.view.shot, with_bodies=exposure.needs_bodies)
+            result = make_response(exposure, *drawn)
             _write_response(
                 answers, msgpack.packb(result if is_list else result["image_data_uint8"])
             )

@@ -98,6 +98,11 @@ class Exposure(NamedTuple):
     request: ImageRequest
     view: CameraView
 
+    @property
+    def needs_bodies(self) -> bool:
+        """Whether the pixels depend on the bodies in the picture, beyond its labels."""
+        return self.view.colours is not None
+
 
 def make_exposures(
     world: AirsimWorld, i: int | None, requests: Sequence[ImageRequest]
@@ -148,13 +153,15 @@ def _make_view(world: AirsimWorld, i: int | None, request: ImageRequest) -> Came
     return CameraView(shot, view, pose, round(world.time * 1e9), colours)
 
 
-def make_response(exposure: Exposure, picture: Picture, bodies: np.ndarray) -> dict[str, Any]:
+def make_response(
+    exposure: Exposure, picture: Picture, bodies: np.ndarray | None
+) -> dict[str, Any]:
     """Convert a rendered picture to AirSim's ImageResponse.
 
     Args:
         exposure: Request and camera view.
         picture: Rendered picture of that view.
-        bodies: (H, W) body at each pixel; see `VisualScene.draw`.
+        bodies: (H, W) body at each pixel, if the exposure needs them; see `VisualScene.draw`.
 
     Returns:
         The map of an ImageResponse.
@@ -176,6 +183,7 @@ def make_response(exposure: Exposure, picture: Picture, bodies: np.ndarray) -> d
         # Colours, labels, or depths in shades of grey
         pixels = picture.pixels
         if view.colours is not None:
+            assert bodies is not None
             pixels = view.colours.paint(picture.labels, bodies)
         elif request.kind != SCENE:
             grey = np.clip(255 * picture.depth / MAX_GREY_DEPTH, 0, 255).astype(np.uint8)

@@ -352,12 +352,37 @@ class EngineQueries(ABC):
         """
         if drones is None:
             drones = Swarm.zeros(*self.shape, 1), np.zeros(self.shape, dtype=bool)
+        picture, _ = self.draw(world, shot, drones, collision=collision, far=far)
+        return picture
+
+    def draw(
+        self,
+        world: int,
+        shot: CameraMatrices,
+        drones: tuple[Swarm, np.ndarray],
+        *,
+        with_bodies: bool = False,
+        collision: bool = False,
+        far: float = FAR,
+    ) -> tuple[Picture, np.ndarray | None]:
+        """Draw a picture of a world as `picture` does, and find the bodies in it.
+
+        Args:
+            world: Index of the world.
+            shot: View, projection and size of the picture.
+            drones: A swarm, and a mask (W, N) of its drones that are shown.
+            with_bodies: Whether to find the body at each pixel.
+            collision: Whether drones are shown by their collision shapes.
+            far: Depth that the picture reaches at least, m.
+
+        Returns:
+            The picture, and the bodies; see `VisualScene.draw`.
+        """
         swarm, mask = drones
         if collision not in self._visual_scenes:
             self._visual_scenes[collision] = VisualScene(self.contents, collision)
         scene = self._visual_scenes[collision]
-        picture, _ = scene.draw(world, self.scene_poses(swarm), shot, mask[world], far)
-        return picture
+        return scene.draw(world, self.scene_poses(swarm), shot, mask[world], far, with_bodies)
 
     def picture_by_bullet(self, world: int, shot: CameraMatrices) -> Picture:
         """Render a picture of a world by TinyRenderer, with the drones at their poses in Bullet."""

@@ -23,7 +23,7 @@ FLOOR_COLOUR = (200, 205, 197)
 """Colour of the ground: red, green, blue, from 0 to 255"""
 COLLISION_COLOUR: Colour = (0.98, 0.62, 0.15, 1.0)
 """Colour of the collision shapes of drones"""
-CODE_DIGITS = np.array([1, 256, 65536])
+CODE_DIGITS = np.array([1, 256, 65536], dtype=np.int32)
 """Factors of the red, green and blue of the code of a shape"""
 SAMPLES = 2
 """Number of samples of a pixel's colour in each direction, against jagged edges"""
@@ -54,14 +54,14 @@ class _Model(NamedTuple):
 
     Attributes:
         scenery: The shapes.
-        maker: Rasteriser, in whose pictures drones and bodies have their codes as colours.
-        colours: (S, 3) uint8 colour of each part of a drone and each piece of a body.
-        body: (S,) index of the drone of each part, and N + r for piece r of the bodies.
+        layouts: The city layouts.
+        maker: Rasteriser of pictures.
+        body: (S,) int32 index of the drone of each part, and N + r for piece r of the bodies.
     """
 
     scenery: Scenery
+    layouts: list[Solids]
     maker: PictureMaker
-    colours: np.ndarray
     body: np.ndarray
 
 
@@ -84,6 +84,8 @@ class VisualScene:
         self._offset = np.array([part.position for part in self._parts]).reshape(-1, 3)
         self._turn = np.array([part.quaternion for part in self._parts]).reshape(-1, 4)
         self._model: _Model | None = None
+        # Rasteriser in whose pictures drones and bodies have their codes as colours
+        self._coder: PictureMaker | None = None
         self._key: tuple[float, int] = (0.0, 0)
 
     def draw(
@@ -93,8 +95,9 @@ class VisualScene:
         shot: CameraMatrices,
         mask: np.ndarray | None = None,
         far: float = FAR,
-    ) -> tuple[Picture, np.ndarray]:
-        """Draw the picture of a camera in a world, and find the bodies in it.
+        with_bodies: bool = False,
+    ) -> tuple[Picture, np.ndarray | None]:
+        """Draw the picture of a camera in a world.
 
         Args:
             world: Index of the world.
@@ -102,20 +105,22 @@ class VisualScene:
             shot: View, projection and size of the picture.
             mask: (N,) bool, drones that are shown; None for all.
             far: Depth that the picture reaches at least, m. That of the sky is not less.
+            with_bodies: Whether to find the body at each pixel.
 
         Returns:
             The picture: colours, averages over each pixel; depths and labels by the ray through the
             corner of each pixel, as `Engine.pictures` draws them.
-            (H, W) body at each pixel by the same ray: the index of a drone, N + r for piece r of
-            the obstacles and added bodies, and -1 for sky, ground and buildings.
+            (H, W) int32 body at each pixel by the same ray: the index of a drone, N + r for piece r
+            of the obstacles and added bodies, and -1 for sky, ground and buildings; None without
+            `with_bodies`.
         """
         # The rasteriser draws to the depth FAR: scenes that reach farther are made smaller, by a
         # power of two, so that they are rarely made again
         scale = 2.0 ** -np.ceil(np.log2(max(far, FAR) / FAR))
         key = (scale, len(poses.added))
         if self._model is None or key != self._key:
-            self._model, self._key = self._build(scale, poses.added), key
-        scenery, maker, colours, body = self._model
+            self._model, self._key, self._coder = self._build(scale, poses.added), key, None
+        scenery = self._model.scenery
         shown = np.ones(len(self._contents.airframes), dtype=bool) if mask is None else mask
         of_part = poses.quaternion[world, self._owner]
         place = poses.position[world, self._owner] + rotate_vectors(of_part, self._offset)
@@ -133,19 +138,40 @@ class VisualScene:
             normals=np.empty((1, height, width, 3), dtype=np.float32),
         )
         camera = _camera(shot, scale)
-        maker.draw(scenery, camera, images, drones, shown[None, self._owner], None)
-        # Codes of drones and bodies
-        is_own = np.isin(images.labels, (OBSTACLE, DRONE))
-        codes = images.colours[is_own] @ CODE_DIGITS
-        bodies = np.full(images.labels.shape, -1)
-        bodies[is_own] = body[codes]
-        images.colours[is_own] = colours[codes]
-        _shade(images, is_own, tuple(camera.quaternion[0]))
+        is_shown = shown[None, self._owner]
+        self._model.maker.draw(scenery, camera, images, drones, is_shown, None)
+        _shade(images, tuple(camera.quaternion[0]))
         # Rays through the corners of pixels
         depth = images.depth[0, SAMPLES - 1 :: SAMPLES, ::SAMPLES] / scale
         labels = images.labels[0, SAMPLES - 1 :: SAMPLES, ::SAMPLES].copy()
         picture = Picture(_average(images.colours[0], images.labels[0]), depth, labels)
-        return picture, bodies[0, SAMPLES - 1 :: SAMPLES, ::SAMPLES].copy()
+        return picture, self._find_bodies(
+            self._model, camera, shot.size, drones, is_shown
+        ) if with_bodies else None
+
+    def _find_bodies(
+        self,
+        model: _Model,
+        camera: Cameras,
+        size: tuple[int, int],
+        drones: Swarm,
+        is_shown: np.ndarray,
+    ) -> np.ndarray:
+        """Return the body at each pixel (H, W) by the ray through its corner; see `draw`."""
+        if self._coder is None:
+            codes = np.arange(len(model.body))[:, None] // CODE_DIGITS % 256
+            self._coder = PictureMaker(model.scenery, model.layouts, codes)
+        width, height = size
+        images = Images(
+            depth=np.empty((1, height, width), dtype=np.float32),
+            labels=np.empty((1, height, width), dtype=np.uint8),
+            colours=np.empty((1, height, width, 3), dtype=np.uint8),
+        )
+        self._coder.draw(model.scenery, camera, images, drones, is_shown, None)
+        is_own = np.isin(images.labels[0], (OBSTACLE, DRONE))
+        bodies = np.full((height, width), -1, dtype=np.int32)
+        bodies[is_own] = model.body[images.colours[0][is_own] @ CODE_DIGITS]
+        return bodies
 
     def _build(self, scale: float, added: Sequence[tuple[Shape, Colour]]) -> _Model:
         """Make the shapes of a world, with lengths multiplied by a factor."""
@@ -171,12 +197,10 @@ class VisualScene:
             restitution=0.0,
         )
         colours = [part.colour for part in self._parts] + [colour for _, colour in bodies]
-        colour = np.clip(255 * np.array(colours).reshape(-1, 4)[:, :3], 0, 255).astype(np.uint8)
-        code = np.arange(len(colours))
-        digits = code[:, None] // CODE_DIGITS % 256
-        drones = len(self._contents.airframes)
-        body = np.append(self._owner, drones + np.arange(len(bodies)))
-        return _Model(scenery, PictureMaker(scenery, layouts, digits), colour, body)
+        colour = 255 * np.array(colours).reshape(-1, 4)[:, :3]
+        body = np.append(self._owner, len(self._contents.airframes) + np.arange(len(bodies)))
+        maker = PictureMaker(scenery, layouts, colour)
+        return _Model(scenery, layouts, maker, body.astype(np.int32))
 
 
 def _parts(airframe: Airframe, collision: bool) -> list[VisualShape]:
@@ -228,8 +252,9 @@ def _camera(shot: CameraMatrices, scale: float) -> Cameras:
     )
 
 
-def _shade(images: Images, is_own: np.ndarray, attitude: Quat4Like) -> None:
+def _shade(images: Images, attitude: Quat4Like) -> None:
     """Shade drones, obstacles and bodies by the sun; cities are shaded already."""
+    is_own = np.isin(images.labels, (OBSTACLE, DRONE))
     light = AMBIENT + (1 - AMBIENT) * (images.normals[is_own] @ np.array(to_body(attitude, SUN)))
     images.colours[is_own] = (images.colours[is_own] * light[:, None]).astype(np.uint8)
 

@@ -734,18 +734,26 @@ class Airspace(Environment):
             ValueError: If there is no such drone, or a number is invalid.
         """
         shot = self.shot(drone, position, quaternion, target, size, field_of_view)
-        return self.draw(shot)
+        picture, _ = self.draw(shot)
+        return picture
 
     @exclusive
-    def draw(self, shot: CameraMatrices) -> Picture:
-        """Render the view of a camera, as `picture` does.
+    def draw(
+        self, shot: CameraMatrices, with_bodies: bool = False
+    ) -> tuple[Picture, np.ndarray | None]:
+        """Render the view of a camera, as `picture` does, and find the bodies in it.
 
         Args:
             shot: Result of `shot`.
+            with_bodies: Whether to find the body at each pixel.
+
+        Returns:
+            The picture, and the bodies; see `VisualScene.draw`.
         """
         self._require_open()
         state = self.world.state
-        return self.world.engine.picture(0, shot, (state.swarm, state.alive))
+        drones = (state.swarm, state.alive)
+        return self.world.engine.draw(0, shot, drones, with_bodies=with_bodies)
 
     @exclusive
     def shot(

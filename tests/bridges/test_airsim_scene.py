@@ -1,12 +1,14 @@
 """AirSim's calls for cameras, objects, detections, added vehicles and remote controls."""
 
 import math
+from collections import Counter
 
 import numpy as np
 import pytest
 from bridges.airsim_world_client import FREE, pose, request, vector
 
 from bulletuav.bridges.airsim_segmentation import LABEL_COLOURS, make_label_colour
+from bulletuav.engine.visual_scene import VisualScene
 from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.geometry.solids import Solids
 from bulletuav.geometry.view import BUILDING, DRONE, LAND, OBSTACLE
@@ -118,6 +120,28 @@ def segment(client):
     """Colours of the pixels of a segmentation image of the first vehicle."""
     (image,) = client("simGetImages", [request("0", 5)], "")
     return np.frombuffer(image["image_data_uint8"], np.uint8).reshape(144, 256, 3)[:, :, ::-1]
+
+
+def test_images_share_a_scene_and_only_segmentation_finds_bodies(client, monkeypatch):
+    count = Counter()
+
+    def spy(name):
+        method = getattr(VisualScene, name)
+
+        def counted(*arguments):
+            count[name] += 1
+            return method(*arguments)
+
+        monkeypatch.setattr(VisualScene, name, counted)
+
+    spy("_build")
+    spy("_find_bodies")
+    for _ in range(2):
+        client("simGetImages", [request("0", 0), request("0", 1, pixels_as_float=True)], "")
+    assert count == {"_build": 1}
+    for _ in range(2):
+        segment(client)
+    assert count == {"_build": 1, "_find_bodies": 2}
 
 
 def test_each_object_has_its_own_segmentation_id(make_client):

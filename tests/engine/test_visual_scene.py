@@ -72,6 +72,29 @@ def test_edges_are_smooth(airspace):
     assert 3 <= len(row) <= 5
 
 
+@pytest.mark.parametrize("far", [FAR, 5 * FAR])
+def test_bodies_are_found_where_asked(airspace, far):
+    engine, state = airspace.world.engine, airspace.world.state
+    airspace.add_body(Obstacle("sphere", (1.0,)), (10.0, 4.0, 1.0))
+    state.swarm.position[0, 0] = (2.0, 0.0, 1.0)
+    camera, drones = shot((0.0, 0.3, 2.0), (10.0, 0.0, 1.0)), (state.swarm, state.alive)
+    plain, none = engine.draw(0, camera, drones, far=far)
+    assert none is None
+    seen, bodies = engine.draw(0, camera, drones, far=far, with_bodies=True)
+    for one, other in zip(plain, seen, strict=True):
+        np.testing.assert_array_equal(one, other)
+    # The drone, the cube and the sphere
+    assert set(np.unique(bodies)) == {-1, 0, 1, 2}
+    np.testing.assert_array_equal(bodies == 0, seen.labels == DRONE)
+    np.testing.assert_array_equal(bodies > 0, seen.labels == OBSTACLE)
+    left, right = (np.argwhere(bodies == body)[:, 1].mean() for body in (2, 1))
+    assert left < right
+    # Another body makes other shapes
+    airspace.add_body(Obstacle("sphere", (1.0,)), (10.0, -4.0, 1.0))
+    _, bodies = engine.draw(0, camera, drones, far=far, with_bodies=True)
+    assert np.argwhere(bodies == 3)[:, 1].mean() > right
+
+
 @pytest.mark.parametrize("far", [FAR, 1.5 * FAR, 5 * FAR])
 def test_pictures_reach_as_far_as_asked(far):
     tower = Obstacle("box", (400.0, 400.0, 4000.0), RED)
