@@ -236,6 +236,21 @@ def test_markers_are_shown_for_their_time(flight, browser, tmp_path):
     assert browser.messages == []
 
 
+def test_a_far_marker_leaves_the_whole_view_on_the_drones(flight, browser, tmp_path):
+    log = MarkerLog(lambda: 0.0)
+    log.add_points(np.full((1, 3), 1e4), (0.0, 0.0, 1.0), 20, np.inf)
+    log.add_lines(np.array([np.zeros(3), np.full(3, -1e4)])[None], (1.0, 0.0, 0.0), 3, np.inf)
+    marked = dataclasses.replace(flight, scene={**flight.scene, **log.arrays()})
+    extents = []
+    for name, one in (("plain", flight), ("marked", marked)):
+        write_replay(one, name, tmp_path / f"{name}.html")
+        browser.open(tmp_path / f"{name}.html", "#theme=light")
+        extents.append(browser.tell("replay.view.extent"))
+    assert browser.tell("replay.markers.exists")
+    assert extents[0] == extents[1]
+    assert browser.messages == []
+
+
 def test_large_swarms_are_shown_as_discs_and_a_sample_in_detail(browser, tmp_path, monkeypatch):
     monkeypatch.setattr(replay_sampling, "MAX_POSITIONS", 300 * 7)
     flight = recorded("crossing", "straight", num_drones=300, horizon=25)

@@ -54,12 +54,10 @@ const MOST_EDGES = 200000; // maximum number of a city's triangles up to which i
 /** Return the bounding box of the scene with a margin, its centre and its size. */
 export function extent(episode, margin = 0) {
   const [low, high] = episode.bounds();
-  for (const name of ["city_corners", "marker_point", "marker_line"]) {
-    const corners = name in episode.about.arrays ? episode.payload.array(name) : [];
-    for (let k = 0; k < corners.length; k += 1) {
-      low[k % 3] = Math.min(low[k % 3], corners[k]);
-      high[k % 3] = Math.max(high[k % 3], corners[k]);
-    }
+  const corners = episode.payload.array("city_corners");
+  for (let k = 0; k < corners.length; k += 1) {
+    low[k % 3] = Math.min(low[k % 3], corners[k]);
+    high[k % 3] = Math.max(high[k % 3], corners[k]);
   }
   // The d_safe circles extend beyond the positions of drones.
   for (const axis of [0, 1, 2]) {
