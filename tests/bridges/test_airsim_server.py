@@ -215,18 +215,12 @@ def test_motions_are_answered_when_they_end(serve, connect):
 
 
 def test_an_answer_does_not_wait_until_the_one_before_is_acknowledged(serve, connect):
-    """A motion that a newer one replaces is answered, and so is the ping that follows."""
-    client, lasted = connect(serve()), []
-    client.socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-    ready(client)
-    for _ in range(41):
-        client.send("moveByVelocity", 0.0, 0.0, 0.0, 60.0, *FREE, "")
-        begin, ping = time.perf_counter(), client.send("ping")
-        while client.receive()[0] != ping:
-            pass
-        lasted.append(time.perf_counter() - begin)
-    # Delayed acknowledgements take 40 ms; on a busy machine some answers take as long
-    assert sorted(lasted)[12] < 0.03
+    """Peers delay acknowledgements by 40 ms, as long as other delays of a busy machine."""
+    server = serve()
+    connect(server).get("ping")
+    (stream,) = server._streams._talks.values()
+    accepted = stream._transport.get_extra_info("socket")
+    assert accepted.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
 
 
 def test_time_stands_still_until_it_is_let_go(serve, connect):

@@ -12,11 +12,13 @@ import numpy as np
 import pytest
 from bridges.airsim_world_client import pose, vector
 from payload_block import Block
+from waiting import PATIENCE
 
 from bulletuav.analysis import fleet_recorder, markers
 from bulletuav.analysis.fleet_recorder import FleetRecorder
 from bulletuav.analysis.markers import MarkerLog
 from bulletuav.cli import main
+from bulletuav.commands import serve
 from bulletuav.report.replay import write_replay
 
 RED = [1.0, 0.0, 0.0, 1.0]
@@ -185,16 +187,41 @@ def test_plots_without_a_replay_are_logged_once(client, caplog):
     ]
 
 
+@pytest.fixture
+def interrupt_at_row(monkeypatch):
+    """Interrupts a server, as Ctrl-C does, when its replay has this number of rows."""
+
+    def interrupt_at_row(number):
+        class Recorder(FleetRecorder):
+            def _append_row(self):
+                super()._append_row()
+                if len(self._rows) == number:
+                    signal.raise_signal(signal.SIGINT)
+
+        monkeypatch.setattr(serve, "FleetRecorder", Recorder)
+
+    return interrupt_at_row
+
+
 @pytest.mark.parametrize("kind", ["airsim", "mavlink", "crazyflie"])
-def test_servers_write_replays(kind, tmp_path, capsys):
+def test_servers_write_replays(kind, tmp_path, capsys, interrupt_at_row):
+    interrupt_at_row(6)
     page = tmp_path / "flight.html"
-    words = ["serve", kind, "--drones", "2", "--port", "0", "--seconds", "0.5"]
-    main([*words, "--replay", str(page), "--seed", "0"])
+    words = ["serve", kind, "--drones", "2", "--port", "0", "--seconds", str(PATIENCE)]
+    with pytest.raises(SystemExit):
+        main([*words, "--replay", str(page), "--seed", "0"])
     assert f"wrote {page}" in capsys.readouterr().out.replace("\n", "")
     about = Block.of_page(page).about
     assert about["title"] == f"serve {kind}: 2 drones"
     assert about["drones"] == 2
-    assert about["rows"] >= 5
+    assert about["rows"] == 6
+
+
+def test_a_replay_has_the_seconds_of_a_server(tmp_path):
+    page = tmp_path / "flight.html"
+    # These are simulated seconds, which the machine's load does not change
+    main(["serve", "mavlink", "--port", "0", "--seconds", "0.5", "--replay", str(page)])
+    assert Block.of_page(page).about["rows"] == 11
 
 
 def test_a_server_that_nothing_flies_writes_no_replay(tmp_path, capsys):

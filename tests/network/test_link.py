@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from bulletuav.network.fading import rician_gain
-from bulletuav.network.link import capacity, decibel, noise_power, ratio
+from bulletuav.network.link import capacity, decibel, noise_power, packet_error, ratio
 from bulletuav.network.propagation import log_distance
 
 BAND = 10e6  # Hz
@@ -53,6 +53,15 @@ def test_rates_of_lonely_links(link):
     assert decibel(snr) == pytest.approx(LINKS[link][0], abs=6e-7)
     rate = LINKS[link][1]
     assert capacity(BAND, snr) / 1e6 == pytest.approx(rate, abs=6e-7 if rate > 1 else 6e-8)
+
+
+def test_packet_errors():
+    # Without a signal each bit is a coin flip; 1 - (1 - exp(-4.5) / 2)^16 by a desk calculator
+    assert packet_error(0.0, 8) == pytest.approx(1 - 2.0**-8, rel=1e-15)
+    assert packet_error(1e4, 1e4) == 0.0
+    assert packet_error(9.0, 16) == pytest.approx(0.085264, abs=6e-7)
+    # Small probabilities are not rounded to multiples of 1e-16
+    assert packet_error(80.0, 1) == pytest.approx(0.5 * math.exp(-40), rel=1e-12)
 
 
 def test_rate_against_one_interferer():
