@@ -3,7 +3,9 @@
 import json
 import logging
 import math
+import re
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -234,7 +236,7 @@ def test_a_server_that_nothing_flies_writes_no_replay(tmp_path, capsys):
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_servers_that_are_ended_by_a_signal_write_replays(number, tmp_path):
     page = tmp_path / "flight.html"
-    words = ["serve", "crazyflie", "--port", "0", "--replay", str(page)]
+    words = ["serve", "airsim", "--port", "0", "--replay", str(page)]
     command = [sys.executable, "-m", "bulletuav", *words]
     server = subprocess.Popen(
         command,
@@ -242,10 +244,13 @@ def test_servers_that_are_ended_by_a_signal_write_replays(number, tmp_path):
         text=True,
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
     )
-    assert " at " in server.stdout.readline()
-    time.sleep(0.5)
+    port = re.search(r":(\d+)", server.stdout.readline()).group(1)
+    with socket.create_connection(("127.0.0.1", int(port)), timeout=PATIENCE) as client:
+        client.sendall(b"\x94\x00\x01\xa4ping\x90")  # MessagePack: [0, 1, "ping", []]
+        assert client.recv(100)
+    time.sleep(0.1)
     server.send_signal(number)
-    output, _ = server.communicate(timeout=60)
+    output, _ = server.communicate(timeout=PATIENCE)
     assert "wrote" in output
     assert Block.of_page(page).about["drones"] == 1
 
