@@ -215,7 +215,11 @@ def ray_python(tmp_path_factory):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "words", [["ray_cluster.py"], ["rllib_cluster.py", "--nodes", "2", "--iterations", "1"]]
+    "words",
+    [
+        ["ray_cluster.py", "--episodes", "100"],
+        ["rllib_cluster.py", "--nodes", "2", "--iterations", "1"],
+    ],
 )
 def test_work_goes_on_when_nodes_are_killed(ray_python, words):
     """At small size; .ci/run runs this."""
