@@ -3,11 +3,11 @@
     python benchmarks/transfer.py --out docs/results/transfer
     python benchmarks/transfer.py --tasks hover --episodes 10
 
-Each case differs from the task at medium in one respect: difficulty, dynamics, airframe, number of
-drones, wind or latency. Safe success is the fraction of drones that succeed without conflict or
-collision; brackets are 95 % intervals of means over episodes. Rows are kept in transfer.csv, and
-the same command flies those that are missing, or whose policy has changed. Writes transfer.md and
-transfer.png.
+Each case differs from the task at medium (`EASY`: at easy) in one respect: difficulty, dynamics,
+airframe, number of drones, wind or latency. Safe success is the fraction of drones that succeed
+without conflict or collision; brackets are 95 % intervals of means over episodes. Rows are kept in
+transfer.csv, and the same command flies those that are missing, or whose policy has changed. Writes
+transfer.md and transfer.png.
 """
 
 import argparse
@@ -40,8 +40,8 @@ from bulletuav.version import CONSTANTS
 
 SEED = 8_000_000
 """Seed of the first episode of each case; no training and no choice of a policy uses it"""
-BASE = {"difficulty": "medium"}
-"""Options of every case, unless its own differ"""
+EASY = ("mec", "search")
+"""Tasks whose policies fly at easy alone; the others fly at medium, unless a case differs"""
 LATENCY = "latency"
 """Axis that delays the actions, in decisions; all others are options of the environment"""
 AXES: dict[str, tuple[Any, ...]] = {
@@ -141,14 +141,16 @@ def measure(task: str, axis: str, value: Any, episodes: int) -> Row:
     """
     row = Row(task, axis, str(value), digest(task), str(episodes))
     own = {} if axis == LATENCY else {axis: (value, 0.0, 0.0) if axis == "wind" else value}
+    base = {"difficulty": "easy" if task in EASY else "medium"}
     try:
-        options = find_policy("trained", task).complete(task, {**BASE, **own})
+        options = find_policy("trained", task).complete(task, {**base, **own})
         with contextlib.closing(bulletuav.Aviary(task, **options)) as aviary:
             find_policy("trained", task)(aviary)
             # A reset raises the error if there is no room for so many drones
             aviary.reset(seeds=SEED)
     except ValueError as error:
-        return row._replace(reason=" ".join(str(error).split()))
+        place = f"{Path(bulletuav.__file__).parents[1]}/"
+        return row._replace(reason=" ".join(str(error).replace(place, "").split()))
     policy = late(task, value if axis == LATENCY else 0)
     result = bulletuav.evaluate(task, policy, episodes, SEED, **options)
     found = result.estimates()["safe_success"]
@@ -184,7 +186,8 @@ def markdown(rows: list[Row], episodes: int) -> str:
         "# Transfer of the trained policies",
         "",
         "Each policy of the package (`--policy trained`) flies its task at medium, but for one",
-        "condition. Numbers are the fraction of drones that succeed without conflict or collision,",
+        f"condition; {' and '.join(f'`{task}`' for task in EASY)} at easy, the difficulty of their",
+        "training. Numbers are the fraction of drones that succeed without conflict or collision,",
         "with 95 % intervals; a dash is a condition that the task, the dynamics or the policy does",
         "not accept. Wind blows to the east, in m/s. Latency is counted in decisions: actions are",
         f"flown that much later. {episodes} episodes from seed {SEED} on,",
