@@ -22,7 +22,7 @@ Layers = Sequence[tuple[np.ndarray, np.ndarray]]
 
 
 def symlog(values: np.ndarray, scale: float = 1.0) -> np.ndarray:
-    """Compute the symmetric logarithm sign(x) ln(1 + scale |x|).
+    """Compute the symmetric logarithm `sign(x) ln(1 + scale |x|)`.
 
     References:
         D. Hafner, J. Pasukonis, J. Ba, T. Lillicrap, Mastering diverse domains through world models
