@@ -1,7 +1,7 @@
 """The benchmark of servers in real time: delays, memory, and tables."""
 
 import csv
-import importlib.util
+import importlib
 import os
 import subprocess
 import sys
@@ -9,6 +9,7 @@ import time
 from pathlib import Path
 
 import pytest
+from programs import load_program
 
 BENCHMARKS = Path(__file__).parent.parent / "benchmarks"
 
@@ -18,9 +19,7 @@ def bridges(monkeypatch):
     """The benchmark's module, with vehicles that turn ten times a second."""
     monkeypatch.syspath_prepend(str(BENCHMARKS))
     # Not by its name, which is also that of a folder of tests
-    spec = importlib.util.spec_from_file_location("bridges_benchmark", BENCHMARKS / "bridges.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
+    module = load_program(BENCHMARKS / "bridges.py")
     monkeypatch.setattr(module, "PERIOD", 0.1)
     yield module
     sys.modules.pop("bridge_clients", None)

@@ -1,10 +1,10 @@
 """The page of lost nodes, from rows of programs that start no cluster."""
 
-import importlib.util
 import json
 from pathlib import Path
 
 import pytest
+from programs import load_program
 
 PROGRAM = Path(__file__).parents[1] / "benchmarks" / "cluster.py"
 EVALUATION = [
@@ -16,10 +16,7 @@ PHASES = {"before": 2, "runner killed": 5, "node killed": 3, "node added": 7, "r
 
 @pytest.fixture
 def benchmark():
-    spec = importlib.util.spec_from_file_location("cluster", PROGRAM)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return load_program(PROGRAM)
 
 
 def write_client(folder, name, rows):

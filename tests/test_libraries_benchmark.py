@@ -1,21 +1,18 @@
 """The table of trainers of other libraries, here of clients that train nothing."""
 
-import importlib.util
 import json
 import sys
 from pathlib import Path
 
 import pytest
+from programs import load_program
 
 PROGRAM = Path(__file__).parents[1] / "benchmarks" / "libraries.py"
 
 
 @pytest.fixture
 def benchmark():
-    spec = importlib.util.spec_from_file_location("libraries", PROGRAM)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return load_program(PROGRAM)
 
 
 def write_client(folder, name, **changes):

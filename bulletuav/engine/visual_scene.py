@@ -145,9 +145,9 @@ class VisualScene:
         depth = images.depth[0, SAMPLES - 1 :: SAMPLES, ::SAMPLES] / scale
         labels = images.labels[0, SAMPLES - 1 :: SAMPLES, ::SAMPLES].copy()
         picture = Picture(_average(images.colours[0], images.labels[0]), depth, labels)
-        return picture, self._find_bodies(
-            self._model, camera, shot.size, drones, is_shown
-        ) if with_bodies else None
+        if not with_bodies:
+            return picture, None
+        return picture, self._find_bodies(self._model, camera, shot.size, drones, is_shown)
 
     def _find_bodies(
         self,
