@@ -1,8 +1,8 @@
 """Command line `bulletuav`: find the command, run it, and report errors on one line.
 
 The commands are `tasks`, `fly`, `city`, `evaluate`, `compare`, `dataset`, `merge`, `train`,
-`tune`, `verify`, `replay`, `export`, `convert`, `identify`, `incentives`, `serve`, `benchmark`,
-`compile` and `doctor`.
+`tune`, `verify`, `replay`, `export`, `convert`, `identify`, `reproduce`, `incentives`, `serve`,
+`benchmark`, `compile` and `doctor`.
 """
 
 import argparse
@@ -37,6 +37,7 @@ COMMANDS = (
     "export",
     "convert",
     "identify",
+    "reproduce",
     "incentives",
     "serve",
     "benchmark",

@@ -31,6 +31,7 @@ ROOMS = (
     ("analysis",),
     ("training",),
     ("report", "bridges", "identification"),
+    ("reproduction",),
     ("commands",),
     ("cli", "__init__"),
     ("__main__",),

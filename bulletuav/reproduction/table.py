@@ -1,0 +1,241 @@
+"""Reproductions of published tables: rows, their verdicts, data, and results."""
+
+import json
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from bulletuav.errors import require_file
+from bulletuav.files import replace_file
+from bulletuav.report.figures import save_figure
+from bulletuav.version import __version__
+
+Verdict = Literal["within", "better", "explained", "outside", "unpublished"]
+
+
+@dataclass(frozen=True)
+class Row:
+    """One published number, and the one of this package.
+
+    Attributes:
+        name: Name of the number, such as "position after 0.5 s".
+        ours: Number that is computed here.
+        published: Published number; None if there is none.
+        unit: Unit, such as "m"; empty for numbers without unit.
+        low: Lower bound of the 95 % confidence interval of `ours`; None for exact numbers.
+        high: Upper bound.
+        tolerance: Difference that counts as none: digits of the published number, or the error of
+            reading a curve.
+        goal: "equal", or the direction in which numbers are better: "lower" or "higher".
+        why: Explanation of a number that is neither within nor better.
+    """
+
+    name: str
+    ours: float
+    published: float | None = None
+    unit: str = ""
+    low: float | None = None
+    high: float | None = None
+    tolerance: float = 0.0
+    goal: Literal["equal", "lower", "higher"] = "equal"
+    why: str = ""
+
+    @property
+    def verdict(self) -> Verdict:
+        """Compare with the published number.
+
+        Returns:
+            "within" if the published number is in the interval, widened by the tolerance; "better"
+            if ours is better than that; otherwise "explained" with an explanation, or "outside".
+            "unpublished" without a published number.
+        """
+        if self.published is None:
+            return "unpublished"
+        low = self.ours if self.low is None else self.low
+        high = self.ours if self.high is None else self.high
+        if low - self.tolerance <= self.published <= high + self.tolerance:
+            return "within"
+        if self.goal == "lower" and self.ours < self.published:
+            return "better"
+        if self.goal == "higher" and self.ours > self.published:
+            return "better"
+        return "explained" if self.why else "outside"
+
+
+@dataclass(frozen=True)
+class Data:
+    """Data of others that the user fetches.
+
+    Attributes:
+        repository: Address of the git repository.
+        commit: Commit that has the data.
+        licence: Its licence, as SPDX identifier, or "none".
+        contains: A file of the repository by which the folder is recognised.
+    """
+
+    repository: str
+    commit: str
+    licence: str
+    contains: str
+
+    @property
+    def commands(self) -> str:
+        """Commands that fetch the data."""
+        name = self.repository.rstrip("/").rpartition("/")[2]
+        return f"git clone {self.repository} && git -C {name} checkout {self.commit}"
+
+    def find(self, folder: Path | None, table: str) -> Path:
+        """Check the folder of the data.
+
+        Args:
+            folder: Folder that the user gives.
+            table: Name of the table, for the message.
+
+        Returns:
+            The folder.
+
+        Raises:
+            ValueError: If there is no folder, with the commands that fetch the data.
+            FileNotFoundError: If the folder lacks the data.
+        """
+        remedy = f"fetch it with: {self.commands}"
+        if folder is None:
+            raise ValueError(f"{table} needs data: give its folder with --data; {remedy}")
+        require_file("data of the table", folder / self.contains, remedy)
+        return folder
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How a table is computed.
+
+    Attributes:
+        size: Fraction of the full number of episodes, windows or decisions, above 0 and at most 1.
+        data: Folder of the data of others; None if the table needs none.
+        workers: Number of processes.
+        progress: Callback for the finished fraction.
+    """
+
+    size: float = 1.0
+    data: Path | None = None
+    workers: int = 1
+    progress: Callable[[float], None] = lambda fraction: None
+
+    def count(self, full: int, least: int = 1) -> int:
+        """Return the number of episodes, or the like, at this size.
+
+        Args:
+            full: Number at full size.
+            least: Minimum number.
+        """
+        return max(least, math.ceil(full * self.size))
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """A table as it is computed here.
+
+    Attributes:
+        rows: Numbers next to the published ones.
+        figure: Picture of the comparison, from `bulletuav.report.figures.blank_figure`.
+        notes: Sentences about protocol, differences, and what misses and why.
+        extra: Further values for the JSON file, such as fitted constants.
+    """
+
+    rows: Sequence[Row]
+    figure: Figure
+    notes: Sequence[str] = ()
+    extra: dict[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Reproduction:
+    """A published table that can be computed again.
+
+    Attributes:
+        title: Title of one line.
+        publication: Authors, title, where and when.
+        address: Web address of the publication.
+        about: One paragraph: what is compared, and how.
+        minutes: Duration at full size with two cores.
+        compute: Function that computes the table.
+        data: Data of others that it needs; None for none.
+    """
+
+    title: str
+    publication: str
+    address: str
+    about: str
+    minutes: float
+    compute: Callable[[Settings], Outcome]
+    data: Data | None = None
+
+
+def record_outcome(name: str, table: Reproduction, outcome: Outcome, size: float) -> dict[str, Any]:
+    """Return a computed table as plain values, for a JSON file."""
+    return {
+        "table": name,
+        "title": table.title,
+        "publication": table.publication,
+        "address": table.address,
+        "about": table.about,
+        "data": None if table.data is None else asdict(table.data),
+        "bulletuav": __version__,
+        "size": size,
+        "rows": [{**asdict(row), "verdict": row.verdict} for row in outcome.rows],
+        "notes": list(outcome.notes),
+        "extra": outcome.extra,
+    }
+
+
+def format_number(value: float | None) -> str:
+    """Format a number with four significant digits; nothing for None."""
+    return "" if value is None else f"{value:.4g}"
+
+
+def format_cells(row: Row) -> list[str]:
+    """Return the cells of a row: number, unit, published, ours, interval, verdict."""
+    interval = (
+        "" if row.low is None else f"{format_number(row.low)} to {format_number(row.high)}"
+    )
+    numbers = [format_number(row.published), format_number(row.ours)]
+    return [row.name, row.unit, *numbers, interval, row.verdict]
+
+
+HEADINGS = ("number", "unit", "published", "bulletuav", "95 % interval", "verdict")
+"""Headings of the cells of a row"""
+
+
+def write_outcome(record: dict[str, Any], figure: Figure, out: Path) -> list[Path]:
+    """Write a computed table: NAME.json and the picture NAME.png.
+
+    Args:
+        record: Values of `record_outcome`.
+        figure: Picture.
+        out: Folder.
+
+    Returns:
+        The files.
+    """
+    name = record["table"]
+    files = [out / f"{name}.json", out / f"{name}.png"]
+    replace_file(files[0], json.dumps(record, indent=1, default=_plain) + "\n")
+    save_figure(figure, files[1])
+    return files
+
+
+def _plain(value: Any) -> Any:
+    """Convert values of NumPy for JSON."""
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    raise TypeError(f"{value!r} is no plain value")
+
+
+def read_rows(record: dict[str, Any]) -> list[Row]:
+    """Return the rows of a record that `write_outcome` wrote."""
+    return [Row(**{k: v for k, v in row.items() if k != "verdict"}) for row in record["rows"]]
