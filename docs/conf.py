@@ -25,6 +25,7 @@ extensions = [
     "sphinx_copybutton",
     "sphinx_external_toc",
     "site_reference",
+    "site_reproduced",
     "site_links",
     "site_replays",
     "site_tutorials",

@@ -6,6 +6,7 @@ from rich.table import Table
 
 from bulletuav.commands.arguments import make_out_folder
 from bulletuav.commands.output import print_files, print_table, print_text
+from bulletuav.commands.parsers.reproduce import DEFAULT_OUT
 from bulletuav.commands.progress import show_progress
 from bulletuav.reproduction import find_reproduction, list_reproductions
 from bulletuav.reproduction.table import (
@@ -19,29 +20,24 @@ from bulletuav.reproduction.table import (
 
 def run(arguments: argparse.Namespace) -> None:
     """List the tables; or compute one, print it and write its files."""
+    given = {
+        name: value
+        for name in ("data", "size", "workers", "out")
+        if (value := getattr(arguments, name)) is not None
+    }
     if arguments.table is None:
+        if given:
+            raise ValueError(
+                f"--{min(given)} needs the name of a table: {', '.join(list_reproductions())}"
+            )
         print_table(_overview())
         return
     table = find_reproduction(arguments.table)
-    if not 0.0 < arguments.size <= 1.0:
-        raise ValueError(f"--size {arguments.size:g}: a fraction above 0 and up to 1 is needed")
-    if arguments.workers < 1:
-        raise ValueError(f"--workers {arguments.workers}: 1 or more are needed")
-    if table.data is not None:
-        table.data.find(arguments.data, arguments.table)
-    elif arguments.data is not None:
-        raise ValueError(f"--data {arguments.data}: {arguments.table} needs no data")
-    out = make_out_folder(arguments.out)
+    out = make_out_folder(given.pop("out", DEFAULT_OUT))
     with show_progress("reproducing", 100, "%") as report:
-        outcome = table.compute(
-            Settings(
-                arguments.size,
-                arguments.data,
-                arguments.workers,
-                lambda fraction: report(100 * fraction),
-            )
-        )
-    record = record_outcome(arguments.table, table, outcome, arguments.size)
+        settings = Settings(**given, progress=lambda fraction: report(100 * fraction))
+        outcome = table.reproduce(arguments.table, settings)
+    record = record_outcome(arguments.table, table, outcome, settings.size)
     printed = Table(title=f"{table.title} ({table.publication})")
     for heading in HEADINGS:
         numeric = heading in ("published", "bulletuav", "95 % interval")

@@ -5,7 +5,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -16,6 +16,7 @@ from bulletuav.report.figures import save_figure
 from bulletuav.version import __version__
 
 Verdict = Literal["within", "better", "explained", "outside", "unpublished"]
+VERDICTS: tuple[Verdict, ...] = get_args(Verdict)
 
 
 @dataclass(frozen=True)
@@ -165,6 +166,8 @@ class Reproduction:
         minutes: Duration at full size with two cores.
         compute: Function that computes the table.
         data: Data of others that it needs; None for none.
+        is_scalable: Whether it can be computed at a smaller size.
+        is_parallel: Whether it can use several processes.
     """
 
     title: str
@@ -174,6 +177,35 @@ class Reproduction:
     minutes: float
     compute: Callable[[Settings], Outcome]
     data: Data | None = None
+    is_scalable: bool = True
+    is_parallel: bool = False
+
+    def reproduce(self, name: str, settings: Settings) -> Outcome:
+        """Check the settings, and compute the table.
+
+        Args:
+            name: Name of the table, for messages.
+            settings: How it is computed.
+
+        Raises:
+            ValueError: If a setting is out of range or has no effect on this table.
+            FileNotFoundError: If the folder of the data lacks the data.
+        """
+        if not 0.0 < settings.size <= 1.0:
+            raise ValueError(
+                f"size {settings.size:g} of {name}: a fraction above 0 and up to 1 is needed"
+            )
+        if settings.size < 1.0 and not self.is_scalable:
+            raise ValueError(f"size {settings.size:g}: {name} has no smaller size, leave it out")
+        if settings.workers < 1:
+            raise ValueError(f"{settings.workers} workers for {name}: at least 1 is needed")
+        if settings.workers > 1 and not self.is_parallel:
+            raise ValueError(f"{settings.workers} workers: {name} runs in one process")
+        if self.data is not None:
+            self.data.find(settings.data, name)
+        elif settings.data is not None:
+            raise ValueError(f"data {settings.data}: {name} needs no data, leave it out")
+        return self.compute(settings)
 
 
 def record_outcome(name: str, table: Reproduction, outcome: Outcome, size: float) -> dict[str, Any]:
@@ -185,6 +217,7 @@ def record_outcome(name: str, table: Reproduction, outcome: Outcome, size: float
         "address": table.address,
         "about": table.about,
         "data": None if table.data is None else asdict(table.data),
+        "minutes": table.minutes,
         "bulletuav": __version__,
         "size": size,
         "rows": [{**asdict(row), "verdict": row.verdict} for row in outcome.rows],
@@ -200,9 +233,7 @@ def format_number(value: float | None) -> str:
 
 def format_cells(row: Row) -> list[str]:
     """Return the cells of a row: number, unit, published, ours, interval, verdict."""
-    interval = (
-        "" if row.low is None else f"{format_number(row.low)} to {format_number(row.high)}"
-    )
+    interval = "" if row.low is None else f"{format_number(row.low)} to {format_number(row.high)}"
     numbers = [format_number(row.published), format_number(row.ours)]
     return [row.name, row.unit, *numbers, interval, row.verdict]
 

@@ -15,8 +15,11 @@ ABOUT = {
     "epilog": """examples:
   bulletuav reproduce
   bulletuav reproduce erlang
-  bulletuav reproduce idsia --data nanodrone-sysid-benchmark --size 0.01""",
+  bulletuav reproduce mec-reference --size 0.01 --out tables""",
 }
+
+DEFAULT_OUT = Path("reproduced")
+"""Folder of the files if none is given"""
 
 
 @DeferredHelp
@@ -38,18 +41,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--size",
         type=float,
-        default=1.0,
         metavar="FRACTION",
         help="fraction of the episodes, windows or decisions (default: 1); a hundredth shows that "
         "it works",
     )
-    parser.add_argument(
-        "--workers", type=int, default=1, metavar="N", help="number of processes (default: 1)"
-    )
+    parser.add_argument("--workers", type=int, metavar="N", help="number of processes (default: 1)")
     parser.add_argument(
         "--out",
         type=Path,
-        default=Path("reproduced"),
         metavar="DIR",
-        help="folder for the files (default: reproduced)",
+        help=f"folder for the files (default: {DEFAULT_OUT})",
     )

@@ -13,7 +13,12 @@ DELAYS = {(1, 0.5): 1 / 2, (2, 1.5): 9 / 14, (4, 3.0): 27 / 53}
 def _compute(settings: Settings) -> Outcome:
     """Compute the probabilities, and draw them."""
     rows = [
-        Row(f"{servers} servers, {load:g} Erlang", float(erlang_c(servers, load)), published, tolerance=1e-9)
+        Row(
+            f"{servers} servers, {load:g} Erlang",
+            float(erlang_c(servers, load)),
+            published,
+            tolerance=1e-9,
+        )
         for (servers, load), published in DELAYS.items()
     ]
     figure = blank_figure(6, 4)
@@ -34,4 +39,5 @@ REPRODUCTION = Reproduction(
     about="Erlang's delay formula against exact fractions.",
     minutes=0.1,
     compute=_compute,
+    is_scalable=False,
 )

@@ -1,0 +1,99 @@
+"""Sphinx extension: write the page of reproduced tables from the results of `bulletuav reproduce`.
+
+The page is not kept in the repository. `python docs/_ext/site_reproduced.py` writes it without
+building the site.
+"""
+
+import json
+import re
+from collections import Counter
+from collections.abc import Iterator
+from typing import Any
+
+from site_reference import RESULTS, ROOT, rows_table
+
+from bulletuav.reproduction.table import HEADINGS, VERDICTS, format_cells, read_rows
+
+REPRODUCED = RESULTS / "reproduced"
+PAGE = ROOT / "docs" / "benchmarks" / "reproduced.md"
+INTRODUCTION = """# Reproduced tables
+
+Numbers that others published, and the same numbers of bulletuav. `bulletuav reproduce` lists the
+tables; `bulletuav reproduce NAME` computes one of them, and writes its numbers and its picture.
+Results are the same on every x86-64 processor. This page is generated from these results.
+
+- **within**: the published number lies in the 95 % interval of ours, or differs by no more than the
+  digits of the published number or the error of reading its curve.
+- **better**: ours is better than that.
+- **explained**: ours is worse or different, and the reason is stated.
+- **outside**: ours is worse or different, and the reason is unknown.
+- **unpublished**: there is no published number to compare with."""
+
+
+def records() -> list[dict[str, Any]]:
+    """Read the results, sorted by name."""
+    return [
+        json.loads(path.read_text(encoding="utf-8")) for path in sorted(REPRODUCED.glob("*.json"))
+    ]
+
+
+def page() -> str:
+    """Write the page."""
+    found = records()
+    rows = []
+    for record in found:
+        counts = Counter(row.verdict for row in read_rows(record))
+        numbers = [counts[verdict] or "" for verdict in VERDICTS]
+        rows.append([f"[{record['table']}](#{anchor(record['title'])})", record["title"], *numbers])
+    parts = [INTRODUCTION, rows_table(("name", "table", *VERDICTS), rows)]
+    for record in found:
+        parts += sections(record)
+    return "\n\n".join(parts)
+
+
+def anchor(title: str) -> str:
+    """Return the anchor of a heading, as GitHub and MyST compute it."""
+    return re.sub(r"[^\w -]", "", title.lower()).replace(" ", "-")
+
+
+def sections(record: dict[str, Any]) -> Iterator[str]:
+    """Write the section of a table: publication, command, numbers, explanations, picture."""
+    name, data, rows = record["table"], record["data"], read_rows(record)
+    yield f"## {record['title']}"
+    yield f"[{record['publication']}](<{record['address']}>)"
+    yield record["about"]
+    command = f"bulletuav reproduce {name}"
+    if data is not None:
+        folder = data["repository"].rstrip("/").rpartition("/")[2]
+        command = (
+            f"git clone {data['repository']}\ngit -C {folder} checkout {data['commit']}\n"
+            f"{command} --data {folder}"
+        )
+    size = "" if record["size"] == 1.0 else f" at {record['size']:g} of the full size"
+    yield f"About {record['minutes']:g} minutes on two cores{size}:\n\n```sh\n{command}\n```"
+    yield rows_table(HEADINGS, [format_cells(row) for row in rows])
+    reasons: dict[str, list[str]] = {}
+    for row in rows:
+        if row.verdict == "explained":
+            reasons.setdefault(row.why, []).append(row.name)
+    for why, names in reasons.items():
+        yield f"- {', '.join(names)}: {why}"
+    yield from record["notes"]
+    yield f"![{record['title']}](../results/reproduced/{name}.png)"
+
+
+def write(*_: Any) -> None:
+    """Write the page if it has changed."""
+    text = page().rstrip() + "\n"
+    if not PAGE.exists() or PAGE.read_text(encoding="utf-8") != text:
+        PAGE.write_text(text, encoding="utf-8")
+
+
+def setup(app: Any) -> dict[str, bool]:
+    """Connect the extension."""
+    app.connect("builder-inited", write)
+    return {"parallel_read_safe": True}
+
+
+if __name__ == "__main__":
+    write()
