@@ -54,7 +54,7 @@ def test_formulas_agree_to_a_relative_difference(scale):
 
 @pytest.mark.parametrize(
     ("name", "rows", "explained"),
-    [("erlang", 79, 7), ("propulsion", 37, 4), ("tr38901", 64, 0), ("air-to-ground", 52, 0)],
+    [("erlang", 79, 7), ("propulsion", 37, 4), ("tr38901", 75, 0), ("air-to-ground", 52, 0)],
 )
 def test_all_rows_agree_or_are_explained(name, rows, explained):
     reports = []
@@ -227,6 +227,20 @@ def test_constants_of_drones(link):
     chance = sight(d, max(460 * log(h) - 700, 18), 4300 * log(h) - 3800)
     found = [float(x) for x in (28 + 22 * log(macro) + 20 * log(2), blocked, chance)]
     assert tr38901.AERIAL[link][1] == pytest.approx(found, rel=EXACT)
+
+
+@pytest.mark.parametrize("angles", tr38901.GAINS)
+def test_constants_of_antennas(angles):
+    """The direction by the turns of the standard, as vectors instead of its eq. 7.1-7 and 7.1-8."""
+    zenith, azimuth, bearing, downtilt = (mpmath.radians(angle) for angle in exact(*angles))
+    sine, cosine = mpmath.sin(zenith), mpmath.cos(zenith)
+    x, y = sine * mpmath.cos(azimuth - bearing), sine * mpmath.sin(azimuth - bearing)
+    ahead = x * mpmath.cos(downtilt) - cosine * mpmath.sin(downtilt)
+    up = x * mpmath.sin(downtilt) + cosine * mpmath.cos(downtilt)
+    elevation = mpmath.degrees(mpmath.asin(up))
+    sideways = mpmath.degrees(mpmath.atan2(y, ahead))
+    loss = min(12 * (elevation / 65) ** 2, 30) + min(12 * (sideways / 65) ** 2, 30)
+    assert tr38901.GAINS[angles] == pytest.approx(float(8 - min(loss, 30)), rel=1e-13)
 
 
 # Line of sight

@@ -1,8 +1,8 @@
-"""Path loss and line-of-sight probability of 3GPP TR 38.901 and TR 36.777."""
+"""Path loss, line of sight and antenna of 3GPP TR 38.901 and TR 36.777."""
 
 import numpy as np
 
-from bulletuav.network import tr36777, tr38901
+from bulletuav.network import antenna, tr36777, tr38901
 from bulletuav.report.figures import blank_figure
 from bulletuav.reproduction.formulas import formula_row, printed_row
 from bulletuav.reproduction.table import Outcome, Reproduction, Row, Settings
@@ -79,9 +79,42 @@ AERIAL = {
 and without line of sight (dB) and line-of-sight probability, of UMi-AV and UMa-AV"""
 
 
+BORESIGHTS = ((90, 0, 0, 0), (90, 90, 90, 0), (135, 0, 0, 45), (180, 0, 0, 90), (0, 0, 0, -90))
+"""Zenith and azimuth of directions, bearing and downtilt of antennas, degrees, in the tests of ns-3
+
+src/antenna/test/test-uniform-planar-array.cc, commit 2cfcebe: 8.0 dBi in all of them.
+"""
+GAINS = {
+    (90, 32.5, 0, 0): 5.0,
+    (60, 45, 0, 0): -0.3076923076923077,
+    (140, 90, 0, 0): -22.0,
+    (170, 90, 0, 90): 7.715976331360947,
+    (135, 37, 0, 90): 1.905775874637413,
+    (120, 200, 30, 90): -2.5241989964085803,
+}
+"""Antenna gain by table 7.3-1 and eq. 7.1-7 and 7.1-8, dBi, by the same angles"""
+
+
+def point_antenna(zenith: float, azimuth: float, bearing: float, downtilt: float) -> float:
+    """Return the gain of a turned antenna element in a direction, dBi; angles in degrees."""
+    direction = (float(zenith), float(azimuth), float(bearing), float(downtilt))
+    local = (antenna.local_zenith(*direction), antenna.local_azimuth(*direction))
+    return float(antenna.element_gain(*local, antenna.PEAK))
+
+
+def name_antenna(angles: tuple[float, float, float, float]) -> str:
+    """Name a gain by its angles: zenith, azimuth, bearing and downtilt, degrees."""
+    zenith, azimuth, bearing, downtilt = angles
+    return f"antenna towards {zenith}/{azimuth}, turned by {bearing}/{downtilt} degrees"
+
+
 def _printed_rows() -> list[Row]:
     """Compare with numbers of ns-3."""
-    return [
+    rows = [
+        printed_row(f"ns-3: {name_antenna(angles)}", point_antenna(*angles), "8.0", "dBi")
+        for angles in BORESIGHTS
+    ]
+    return rows + [
         printed_row(
             f"ns-3: {law} at {distance} m",
             LAWS[law](float(distance), BASES[law[:3]], 1.5, 5.0),
@@ -112,6 +145,10 @@ def _formula_rows() -> list[Row]:
             chance,
         )
         for (d, user), chance in UMA_SIGHT.items()
+    ]
+    rows += [
+        formula_row(name_antenna(angles), point_antenna(*angles), gain, "dBi")
+        for angles, gain in GAINS.items()
     ]
     for (d, height), (micro, macro) in AERIAL.items():
         link, name = (d, height, 10.0, 2.0), f"{d} m, drone at {height} m"
@@ -151,8 +188,8 @@ def _compute(settings: Settings) -> Outcome:
         rows,
         figure,
         [
-            'Rows that begin with "formula" are tables 7.4.1-1 and 7.4.2-1 of TR 38.901 and B-1 '
-            "and B-2 of TR 36.777, evaluated with 30 digits; no printed values were found.",
+            'Rows that begin with "formula" are tables 7.3-1, 7.4.1-1 and 7.4.2-1 of TR 38.901, and '
+            "B-1 and B-2 of TR 36.777, evaluated with 30 digits; no printed values were found.",
             "Six of the eight losses of UMi in that file of ns-3 never enter its own test: they "
             "are right nevertheless.",
             "The effective environment height of UMa is 1 m: the standard draws it for users "
@@ -164,13 +201,14 @@ def _compute(settings: Settings) -> Outcome:
 
 
 REPRODUCTION = Reproduction(
-    title="Path loss and line-of-sight probability of 3GPP",
+    title="Path loss, line of sight and antenna of 3GPP",
     publication="3GPP TR 38.901, Study on channel model for frequencies from 0.5 to 100 GHz, "
-    "tables 7.4.1-1 and 7.4.2-1; 3GPP TR 36.777, Enhanced LTE support for aerial vehicles, annex B",
+    "tables 7.3-1, 7.4.1-1 and 7.4.2-1; 3GPP TR 36.777, Enhanced LTE support for "
+    "aerial vehicles, annex B",
     address="https://portal.3gpp.org/desktopmodules/Specifications/SpecificationDetails.aspx"
     "?specificationId=3173",
-    about="Losses of UMa and UMi against the test values of the network simulator ns-3, and losses "
-    "and line-of-sight probabilities on both sides of the breakpoint, for users on the ground and "
+    about="Losses of UMa and UMi and antennas against test values of the simulator ns-3, and "
+    "losses and line-of-sight probabilities on both sides of the breakpoint, for users on the ground and "
     "drones, against the standards' formulas, evaluated with 30 digits.",
     minutes=0.1,
     compute=_compute,
