@@ -188,8 +188,8 @@ def _compute(settings: Settings) -> Outcome:
         rows,
         figure,
         [
-            'Rows that begin with "formula" are tables 7.3-1, 7.4.1-1 and 7.4.2-1 of TR 38.901, and '
-            "B-1 and B-2 of TR 36.777, evaluated with 30 digits; no printed values were found.",
+            'Rows that begin with "formula" are tables 7.3-1, 7.4.1-1 and 7.4.2-1 of TR 38.901, '
+            "and B-1 and B-2 of TR 36.777, evaluated with 30 digits; no printed values were found.",
             "Six of the eight losses of UMi in that file of ns-3 never enter its own test: they "
             "are right nevertheless.",
             "The effective environment height of UMa is 1 m: the standard draws it for users "
@@ -208,8 +208,8 @@ REPRODUCTION = Reproduction(
     address="https://portal.3gpp.org/desktopmodules/Specifications/SpecificationDetails.aspx"
     "?specificationId=3173",
     about="Losses of UMa and UMi and antennas against test values of the simulator ns-3, and "
-    "losses and line-of-sight probabilities on both sides of the breakpoint, for users on the ground and "
-    "drones, against the standards' formulas, evaluated with 30 digits.",
+    "losses and line-of-sight probabilities on both sides of the breakpoint, for users on the ground "
+    "and drones, against the standards' formulas, evaluated with 30 digits.",
     minutes=0.1,
     compute=_compute,
 )
