@@ -208,8 +208,8 @@ REPRODUCTION = Reproduction(
     address="https://portal.3gpp.org/desktopmodules/Specifications/SpecificationDetails.aspx"
     "?specificationId=3173",
     about="Losses of UMa and UMi and antennas against test values of the simulator ns-3, and "
-    "losses and line-of-sight probabilities on both sides of the breakpoint, for users on the ground "
-    "and drones, against the standards' formulas, evaluated with 30 digits.",
+    "losses and line-of-sight probabilities on both sides of the breakpoint, for users on the "
+    "ground and drones, against the standards' formulas, evaluated with 30 digits.",
     minutes=0.1,
     compute=_compute,
 )
