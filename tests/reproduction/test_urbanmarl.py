@@ -4,10 +4,12 @@ import math
 import numpy as np
 import pytest
 
+from bulletuav.network.queueing import mean_response
 from bulletuav.reproduction.table import Settings, record_outcome
 from bulletuav.reproduction.tables.urbanmarl import REPRODUCTION
 from bulletuav.reproduction.urban_states import HOVER, USERS, WALL, fly_over, steer_to
 from bulletuav.reproduction.urbanmarl_models import their_gain
+from bulletuav.reproduction.urbanmarl_offloading import measure_offloading, offloading
 
 DEFECTS = {
     "collision with the ground",
@@ -42,7 +44,7 @@ def outcome():
 
 def test_rows_differ_where_theirs_are_wrong_and_only_there(outcome):
     verdicts = {row.name: row.verdict for row in outcome.rows}
-    assert len(verdicts) == len(outcome.rows) == 65
+    assert len(verdicts) == len(outcome.rows) == 74
     assert {name for name, verdict in verdicts.items() if verdict == "explained"} == DEFECTS
     assert set(verdicts.values()) == {"within", "explained"}
 
@@ -65,6 +67,18 @@ def test_pictures_show_exact_ranges_of_ours(outcome):
 def test_gain_of_theirs(user, gain):
     """Numbers of `compute_3d_antenna_gain` in version 0.3.1."""
     assert their_gain(*user, -50.0) == pytest.approx(gain, abs=1e-6)
+
+
+def test_hidden_users_are_not_completed_by_the_offloading_term():
+    drones = [(0, 0, 100), (60, 0, 100)]
+    term = {"offloading": (offloading, 1.0)}
+    flown = fly_over("mec", [WALL], drones, USERS, reward=term)
+    # The last two users are nearer to the first drone, and behind the wall
+    service = measure_offloading(flown.aviary.current_frame())
+    assert service.assigned[0].tolist() == [0.4, 0.2]
+    assert (service.completed <= service.assigned).all()
+    expected = mean_response(4, np.array([[2.0, 1.0]]), 4.0)
+    np.testing.assert_allclose(service.response, expected, rtol=1e-12)
 
 
 @pytest.mark.parametrize("heading", [-150.0, -90.0, 0.0, 60.0, 180.0])

@@ -14,6 +14,7 @@ from bulletuav.reproduction.hand_made import compare_number
 from bulletuav.reproduction.table import Outcome, Reproduction, Row, Settings
 from bulletuav.reproduction.urban_states import HOVER, USERS, WALL, fly_over, steer_to
 from bulletuav.reproduction.urbanmarl_models import compare_models, their_gain
+from bulletuav.reproduction.urbanmarl_offloading import compare_offloading
 from bulletuav.sensors import Label
 from bulletuav.tasks import Frame, block
 
@@ -176,6 +177,7 @@ def _compute(settings: Settings) -> Outcome:
         _user_rewards,
         _goal_rewards,
         _ends,
+        compare_offloading,
         compare_models,
     )
     rows = []
@@ -222,7 +224,8 @@ NOTES = (
     "that reaching a goal costs the distance to the next.",
     "Speeds may be negative, so that each velocity has two actions; up to 49 m/s, here 20 m/s.",
     "uavmec_offloading gives every user one task in every step, whatever the arrival rate, and "
-    "lets all users send at the same time in one band; its reward is compared by its parts.",
+    "lets all users send at the same time in one band. Here its reward is a term of its own, which "
+    "counts users whose task of mean size meets the deadline.",
     "uavmec_advanced_physics has cores that need 0.5 s for a task of 0.2 s, so that none "
     "completes.",
     "The manhattan users turn anywhere, the random waypoint has no waypoints, and headings near "
