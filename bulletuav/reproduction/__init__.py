@@ -6,15 +6,19 @@ publication, where data comes from, and computes numbers that stand next to the 
 
 import importlib
 import pkgutil
+from pathlib import Path
 
 from bulletuav.errors import unknown
-from bulletuav.reproduction import tables
 from bulletuav.reproduction.table import Reproduction
+
+TABLES = "bulletuav.reproduction.tables"
+"""Package of the tables"""
 
 
 def list_reproductions() -> list[str]:
     """List the names of the published tables, sorted."""
-    return sorted(one.name.replace("_", "-") for one in pkgutil.iter_modules(tables.__path__))
+    files = pkgutil.iter_modules([str(Path(__file__).parent / "tables")])
+    return sorted(one.name.replace("_", "-") for one in files)
 
 
 def find_reproduction(name: str) -> Reproduction:
@@ -28,6 +32,6 @@ def find_reproduction(name: str) -> Reproduction:
     """
     if name not in list_reproductions():
         raise unknown("table", name, list_reproductions())
-    module = importlib.import_module(f"{tables.__name__}.{name.replace('-', '_')}")
+    module = importlib.import_module(f"{TABLES}.{name.replace('-', '_')}")
     found: Reproduction = module.REPRODUCTION
     return found

@@ -15,6 +15,8 @@ from bulletuav.files import replace_file
 from bulletuav.report.figures import save_figure
 from bulletuav.version import __version__
 
+MIN_DIGITS, MAX_DIGITS = 4, 15
+"""Minimum and maximum number of significant digits of a printed number"""
 Verdict = Literal["within", "better", "explained", "outside", "unpublished"]
 VERDICTS: tuple[Verdict, ...] = get_args(Verdict)
 
@@ -138,7 +140,7 @@ class Settings:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class TableOutcome:
     """A table as it is computed here.
 
     Attributes:
@@ -175,12 +177,12 @@ class Reproduction:
     address: str
     about: str
     minutes: float
-    compute: Callable[[Settings], Outcome]
+    compute: Callable[[Settings], TableOutcome]
     data: Data | None = None
     is_scalable: bool = True
     is_parallel: bool = False
 
-    def reproduce(self, name: str, settings: Settings) -> Outcome:
+    def reproduce(self, name: str, settings: Settings) -> TableOutcome:
         """Check the settings, and compute the table.
 
         Args:
@@ -208,7 +210,9 @@ class Reproduction:
         return self.compute(settings)
 
 
-def record_outcome(name: str, table: Reproduction, outcome: Outcome, size: float) -> dict[str, Any]:
+def record_outcome(
+    name: str, table: Reproduction, outcome: TableOutcome, size: float
+) -> dict[str, Any]:
     """Return a computed table as plain values, for a JSON file."""
     return {
         "table": name,
@@ -226,16 +230,19 @@ def record_outcome(name: str, table: Reproduction, outcome: Outcome, size: float
     }
 
 
-def format_number(value: float | None) -> str:
-    """Format a number with four significant digits; nothing for None."""
-    return "" if value is None else f"{value:.4g}"
-
-
 def format_cells(row: Row) -> list[str]:
-    """Return the cells of a row: number, unit, published, ours, interval, verdict."""
-    interval = "" if row.low is None else f"{format_number(row.low)} to {format_number(row.high)}"
-    numbers = [format_number(row.published), format_number(row.ours)]
-    return [row.name, row.unit, *numbers, interval, row.verdict]
+    """Return the cells of a row: name, unit, published, ours, interval, verdict.
+
+    Numbers have four significant digits, or as many as it takes to see a difference.
+    """
+    digits = MIN_DIGITS
+    while row.verdict not in ("within", "unpublished") and digits < MAX_DIGITS:
+        if f"{row.published:.{digits}g}" != f"{row.ours:.{digits}g}":
+            break
+        digits += 1
+    published = "" if row.published is None else f"{row.published:.{digits}g}"
+    interval = "" if row.low is None else f"{row.low:.{digits}g} to {row.high:.{digits}g}"
+    return [row.name, row.unit, published, f"{row.ours:.{digits}g}", interval, row.verdict]
 
 
 HEADINGS = ("number", "unit", "published", "bulletuav", "95 % interval", "verdict")
@@ -255,7 +262,7 @@ def write_outcome(record: dict[str, Any], figure: Figure, out: Path) -> list[Pat
     """
     name = record["table"]
     files = [out / f"{name}.json", out / f"{name}.png"]
-    replace_file(files[0], json.dumps(record, indent=1, default=_plain) + "\n")
+    replace_file(files[0], json.dumps(record, indent=1, default=_plain, allow_nan=False) + "\n")
     save_figure(figure, files[1])
     return files
 
@@ -267,6 +274,6 @@ def _plain(value: Any) -> Any:
     raise TypeError(f"{value!r} is no plain value")
 
 
-def read_rows(record: dict[str, Any]) -> list[Row]:
+def rows_of_record(record: dict[str, Any]) -> list[Row]:
     """Return the rows of a record that `write_outcome` wrote."""
     return [Row(**{k: v for k, v in row.items() if k != "verdict"}) for row in record["rows"]]

@@ -12,7 +12,7 @@ from typing import Any
 
 from site_reference import RESULTS, ROOT, rows_table
 
-from bulletuav.reproduction.table import HEADINGS, VERDICTS, format_cells, read_rows
+from bulletuav.reproduction.table import HEADINGS, VERDICTS, format_cells, rows_of_record
 
 REPRODUCED = RESULTS / "reproduced"
 PAGE = ROOT / "docs" / "benchmarks" / "reproduced.md"
@@ -42,7 +42,7 @@ def page() -> str:
     found = records()
     rows = []
     for record in found:
-        counts = Counter(row.verdict for row in read_rows(record))
+        counts = Counter(row.verdict for row in rows_of_record(record))
         numbers = [counts[verdict] or "" for verdict in VERDICTS]
         rows.append([f"[{record['table']}](#{anchor(record['title'])})", record["title"], *numbers])
     parts = [INTRODUCTION, rows_table(("name", "table", *VERDICTS), rows)]
@@ -58,7 +58,7 @@ def anchor(title: str) -> str:
 
 def sections(record: dict[str, Any]) -> Iterator[str]:
     """Write the section of a table: publication, command, numbers, explanations, picture."""
-    name, data, rows = record["table"], record["data"], read_rows(record)
+    name, data, rows = record["table"], record["data"], rows_of_record(record)
     yield f"## {record['title']}"
     yield f"[{record['publication']}](<{record['address']}>)"
     yield record["about"]

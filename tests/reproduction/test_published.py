@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from bulletuav.reproduction import find_reproduction, list_reproductions
-from bulletuav.reproduction.table import read_rows
+from bulletuav.reproduction.table import rows_of_record
 
 ROOT = Path(__file__).parents[2]
 sys.path.append(str(ROOT / "docs" / "_ext"))
@@ -26,7 +26,9 @@ def test_results_have_the_texts_and_verdicts_of_the_code(name):
     record, table = RECORDS[name], find_reproduction(name)
     for field in ("title", "publication", "address", "about", "minutes"):
         assert record[field] == getattr(table, field), field
-    assert [row.verdict for row in read_rows(record)] == [row["verdict"] for row in record["rows"]]
+    assert [row.verdict for row in rows_of_record(record)] == [
+        row["verdict"] for row in record["rows"]
+    ]
     assert table.minutes <= 60
     assert (site_reproduced.REPRODUCED / f"{name}.png").exists()
     assert "/work/" not in json.dumps(record)
@@ -45,5 +47,5 @@ def test_the_page_has_all_tables_commands_and_pictures():
 @pytest.mark.parametrize("name", RECORDS)
 def test_numbers_that_differ_without_a_reason_are_few(name):
     """Each has an explanation, or is worth one."""
-    rows = read_rows(RECORDS[name])
+    rows = rows_of_record(RECORDS[name])
     assert sum(row.verdict == "outside" for row in rows) <= len(rows) // 2

@@ -10,13 +10,13 @@ from bulletuav.reproduction import find_reproduction, list_reproductions
 from bulletuav.reproduction.table import (
     VERDICTS,
     Data,
-    Outcome,
     Reproduction,
     Row,
     Settings,
+    TableOutcome,
     format_cells,
-    read_rows,
     record_outcome,
+    rows_of_record,
     write_outcome,
 )
 
@@ -27,7 +27,9 @@ def make_table(**changes):
     """A table of one exact row."""
 
     def compute(settings):
-        return Outcome([Row("answer", 42.0, 42.0)], blank_figure(2, 2), ["note"], {"fit": [1.0]})
+        return TableOutcome(
+            [Row("answer", 42.0, 42.0)], blank_figure(2, 2), ["note"], {"fit": [1.0]}
+        )
 
     values = {"title": "Answers", "publication": "them, 1979", "address": "https://example.org"}
     values |= {"about": "An answer.", "minutes": 1.0, "compute": compute}
@@ -108,7 +110,7 @@ def test_files_keep_the_rows(tmp_path):
     record = record_outcome("answers", table, outcome, 1.0)
     written, picture = write_outcome(record, outcome.figure, tmp_path)
     read = json.loads(written.read_text())
-    assert read_rows(read) == list(outcome.rows)
+    assert rows_of_record(read) == list(outcome.rows)
     assert read["rows"][0]["verdict"] == "within"
     assert read["data"]["commit"] == "0123abc"
     assert read["extra"] == {"fit": [1.0]}
@@ -118,6 +120,8 @@ def test_files_keep_the_rows(tmp_path):
 def test_cells_have_four_digits_and_the_interval():
     row = Row("error", 0.123456, 0.2, "m", 0.1, 0.15, goal="lower")
     assert format_cells(row) == ["error", "m", "0.2", "0.1235", "0.1 to 0.15", "better"]
+    assert format_cells(Row("digit", 1.23456, 1.23451))[2:4] == ["1.23451", "1.23456"]
+    assert format_cells(Row("equal", 1.23456, 1.23456))[2:4] == ["1.235", "1.235"]
     assert format_cells(Row("first", 2.0)) == ["first", "", "", "2", "", "unpublished"]
 
 
@@ -137,7 +141,7 @@ def test_the_command_computes_a_table_twice_alike(tmp_path, capsys):
 
 def test_the_command_prints_explanations_and_notes(tmp_path, capsys, monkeypatch):
     row = Row("lap", 8.0, 7.0, "s", goal="lower", why="Their rotors react faster.")
-    outcome = Outcome([row], blank_figure(2, 2), ["Laps of one track."])
+    outcome = TableOutcome([row], blank_figure(2, 2), ["Laps of one track."])
     table = make_table(compute=lambda settings: outcome)
     monkeypatch.setattr("bulletuav.commands.reproduce.find_reproduction", lambda name: table)
     main(["reproduce", "erlang", "--out", str(tmp_path)])

@@ -9,7 +9,7 @@ from bulletuav.city.statistics import KINDS
 from bulletuav.network.propagation import EXCESS, mean_path_loss
 from bulletuav.report.figures import blank_figure
 from bulletuav.reproduction.formulas import formula_row, printed_row
-from bulletuav.reproduction.table import Outcome, Reproduction, Row, Settings
+from bulletuav.reproduction.table import Reproduction, Row, Settings, TableOutcome
 
 # envs/common.py of https://github.com/zhangxiaochen95/uav_bs_ctrl, commit 0f3128e
 PRINTED = {
@@ -112,7 +112,7 @@ def _formula_rows() -> list[Row]:
     return rows
 
 
-def _compute(settings: Settings) -> Outcome:
+def _compute(settings: Settings) -> TableOutcome:
     """Compute parameters, probabilities and losses, and draw the probabilities."""
     rows = _fitted_rows() + _formula_rows()
     figure = blank_figure(7, 4.5)
@@ -129,7 +129,7 @@ def _compute(settings: Settings) -> Outcome:
     axes.grid(alpha=0.3)
     axes.legend()
     settings.progress(1.0)
-    return Outcome(
+    return TableOutcome(
         rows,
         figure,
         [
@@ -155,4 +155,5 @@ REPRODUCTION = Reproduction(
     "evaluated with 30 digits.",
     minutes=0.1,
     compute=_compute,
+    is_scalable=False,
 )

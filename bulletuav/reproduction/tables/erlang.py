@@ -14,7 +14,7 @@ from bulletuav.network.queueing import (
 )
 from bulletuav.report.figures import blank_figure
 from bulletuav.reproduction.formulas import formula_row, printed_row
-from bulletuav.reproduction.table import Outcome, Reproduction, Row, Settings
+from bulletuav.reproduction.table import Reproduction, Row, Settings, TableOutcome
 
 # "ERLANG-B CAPACITY TABLE", Lucent Technologies: http://garywagoner.tripod.com/traffic/ERLANG.HTML
 CAPACITIES = {
@@ -120,7 +120,7 @@ def _formula_rows() -> list[Row]:
     return rows
 
 
-def _compute(settings: Settings) -> Outcome:
+def _compute(settings: Settings) -> TableOutcome:
     """Compute the probabilities, and draw them."""
     rows = _printed_rows() + _formula_rows()
     figure = blank_figure(9, 4)
@@ -142,7 +142,7 @@ def _compute(settings: Settings) -> Outcome:
     right.set(xlabel="channels", ylabel="bulletuav minus printed table (Erlang)")
     right.set_title("load at 2 % blocking: one digit differs in seven rows", fontsize=10)
     settings.progress(1.0)
-    return Outcome(
+    return TableOutcome(
         rows,
         figure,
         [
@@ -163,4 +163,5 @@ REPRODUCTION = Reproduction(
     "of others, and the formulas evaluated with 30 digits.",
     minutes=0.1,
     compute=_compute,
+    is_scalable=False,
 )

@@ -5,7 +5,7 @@ from scipy.optimize import minimize_scalar
 
 from bulletuav.report.figures import blank_figure
 from bulletuav.reproduction.formulas import formula_row, printed_row
-from bulletuav.reproduction.table import Outcome, Reproduction, Row, Settings
+from bulletuav.reproduction.table import Reproduction, Row, Settings, TableOutcome
 from bulletuav.vehicle.power import W20, W100, RotaryWing, level_power, rotary_wing
 
 POWERS = {
@@ -126,7 +126,7 @@ def _power_rows() -> list[Row]:
     return rows
 
 
-def _compute(settings: Settings) -> Outcome:
+def _compute(settings: Settings) -> TableOutcome:
     """Compute constants and powers, and draw the powers."""
     rows = _constant_rows() + _power_rows()
     figure = blank_figure(9, 4)
@@ -143,7 +143,7 @@ def _compute(settings: Settings) -> Outcome:
         axes.set(xlabel="speed (m/s)", ylabel="power (W)", title=f"drone of {name}")
     figure.axes[0].legend(loc="upper center")
     settings.progress(1.0)
-    return Outcome(
+    return TableOutcome(
         rows,
         figure,
         [
@@ -165,4 +165,5 @@ REPRODUCTION = Reproduction(
     "level flight from hover to 49 m/s against the formula, evaluated with 30 digits.",
     minutes=0.1,
     compute=_compute,
+    is_scalable=False,
 )

@@ -5,7 +5,7 @@ import numpy as np
 from bulletuav.network import antenna, tr36777, tr38901
 from bulletuav.report.figures import blank_figure
 from bulletuav.reproduction.formulas import formula_row, printed_row
-from bulletuav.reproduction.table import Outcome, Reproduction, Row, Settings
+from bulletuav.reproduction.table import Reproduction, Row, Settings, TableOutcome
 
 LAWS = {
     "UMa LoS": tr38901.uma_los,
@@ -164,7 +164,7 @@ def _formula_rows() -> list[Row]:
     return rows
 
 
-def _compute(settings: Settings) -> Outcome:
+def _compute(settings: Settings) -> TableOutcome:
     """Compute losses and probabilities, and draw the losses."""
     rows = _printed_rows() + _formula_rows()
     figure = blank_figure(9, 4)
@@ -184,7 +184,7 @@ def _compute(settings: Settings) -> Outcome:
         axes.grid(alpha=0.3)
         axes.legend()
     settings.progress(1.0)
-    return Outcome(
+    return TableOutcome(
         rows,
         figure,
         [
@@ -212,4 +212,5 @@ REPRODUCTION = Reproduction(
     "ground and drones, against the standards' formulas, evaluated with 30 digits.",
     minutes=0.1,
     compute=_compute,
+    is_scalable=False,
 )

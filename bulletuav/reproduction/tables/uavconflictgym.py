@@ -23,7 +23,7 @@ from bulletuav.reproduction.conflict_states import (
     fly_state,
 )
 from bulletuav.reproduction.hand_made import compare_number
-from bulletuav.reproduction.table import Outcome, Reproduction, Row, Settings
+from bulletuav.reproduction.table import Reproduction, Row, Settings, TableOutcome
 
 EPISODES = 2000
 """Number of starts for the statistics"""
@@ -167,7 +167,7 @@ def _statistics(episodes: int) -> list[Row]:
     return rows
 
 
-def _compute(settings: Settings) -> Outcome:
+def _compute(settings: Settings) -> TableOutcome:
     """Compute all rows, and draw the rewards of a flight to a goal."""
     rows = []
     parts = (_transitions, _observations, _flight_rewards, _conflict_rewards, _ends)
@@ -188,7 +188,7 @@ def _compute(settings: Settings) -> Outcome:
     axes.grid(alpha=0.3)
     axes.legend()
     settings.progress(1.0)
-    return Outcome(rows, figure, NOTES)
+    return TableOutcome(rows, figure, NOTES)
 
 
 NOTES = (

@@ -11,7 +11,7 @@ import numpy as np
 from bulletuav.network.antenna import PEAK, gain_towards
 from bulletuav.report.figures import blank_figure
 from bulletuav.reproduction.hand_made import compare_number
-from bulletuav.reproduction.table import Outcome, Reproduction, Row, Settings
+from bulletuav.reproduction.table import Reproduction, Row, Settings, TableOutcome
 from bulletuav.reproduction.urban_states import HOVER, USERS, WALL, fly_over, steer_to
 from bulletuav.reproduction.urbanmarl_models import compare_models, their_gain
 from bulletuav.reproduction.urbanmarl_offloading import compare_offloading
@@ -168,7 +168,7 @@ def _ends() -> list[Row]:
     ]
 
 
-def _compute(settings: Settings) -> Outcome:
+def _compute(settings: Settings) -> TableOutcome:
     """Compute all rows, and draw ranges and antenna gains."""
     parts = (
         _transitions,
@@ -211,7 +211,7 @@ def _compute(settings: Settings) -> Outcome:
     right.set(xlabel="user east of a drone 50 m above (m)", ylabel="antenna gain (dBi)")
     right.legend()
     settings.progress(1.0)
-    return Outcome(rows, figure, NOTES)
+    return TableOutcome(rows, figure, NOTES)
 
 
 NOTES = (
@@ -242,4 +242,5 @@ REPRODUCTION = Reproduction(
     "rewards and ends, then the models of radio, servers, power, users and cities.",
     minutes=0.2,
     compute=_compute,
+    is_scalable=False,
 )
