@@ -120,7 +120,7 @@ def test_files_keep_the_rows(tmp_path):
 def test_cells_have_four_digits_and_the_interval():
     row = Row("error", 0.123456, 0.2, "m", 0.1, 0.15, goal="lower")
     assert format_cells(row) == ["error", "m", "0.2", "0.1235", "0.1 to 0.15", "better"]
-    assert format_cells(Row("digit", 1.23456, 1.23451))[2:4] == ["1.23451", "1.23456"]
+    assert format_cells(Row("digit", 1.23456, 1.23451))[2:4] == ["1.2345", "1.2346"]
     assert format_cells(Row("equal", 1.23456, 1.23456))[2:4] == ["1.235", "1.235"]
     assert format_cells(Row("first", 2.0)) == ["first", "", "", "2", "", "unpublished"]
 
