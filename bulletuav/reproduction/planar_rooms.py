@@ -1,0 +1,299 @@
+"""Robots in rooms with square obstacles in a plane: rooms of files, flights by ORCA, and results.
+
+Robots are single integrators: they have the velocity that they choose.
+
+References:
+    B. Riviere, W. Hoenig, Y. Yue, S.-J. Chung, GLAS: Global-to-Local Safe Autonomy Synthesis for
+    Multi-Robot Motion Planning with End-to-End Learning, RA-L 2020: rooms, limits and results as in
+    baseline/orca/orca.cpp and results/singleintegrator/stats.py of its repository.
+"""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from bulletuav.errors import as_sequence, finite, naming, numbers_of, shown
+from bulletuav.geometry.solids import Solids
+from bulletuav.parsing import read_yaml
+from bulletuav.policies.astar import plan_path
+from bulletuav.policies.half_spaces import AvoidanceParameters
+from bulletuav.policies.orca import orca_velocities
+from bulletuav.policies.planner import PathLimits, follow_paths
+from bulletuav.policies.traffic import (
+    Buildings,
+    ObstacleClearance,
+    Traffic,
+    find_surfaces,
+    tabulate_buildings,
+)
+from bulletuav.policies.voxels import build_voxels
+
+PERIOD = 0.05
+"""Duration of a step, s"""
+NUM_STEPS = 1000
+"""Number of steps of a flight"""
+ROBOT_SPEED = 0.5
+"""Speed limit, m/s"""
+AVOIDED_RADIUS = 0.16
+"""Radius of a robot in collision avoidance, m"""
+ROBOT_RADIUS = 0.15
+"""Radius of a robot in the test of collisions, m"""
+SENSING_RANGE = 3.0
+"""Distance up to which robots see each other, m"""
+NUM_SEEN = 5
+"""Number of nearest robots that are avoided"""
+AVOIDED_TIME = 1.0
+"""Time horizon of collision avoidance, both for robots and for obstacles, s"""
+GOAL_DISTANCE = 0.5
+"""Distance to the goal at which it is reached, m"""
+ARRIVED = 0.05
+"""Distance to the goals at which all robots stop, m"""
+SLACK = 1e-4
+"""Overlap that is no collision, m"""
+ALTITUDE, HALF_HEIGHT = 1.0, 1.0
+"""Height of the plane, and half the height of the obstacles, m; they have no effect"""
+CELL = 0.1
+"""Size of a cell of the map for paths, m"""
+PATH_WIDTH = 0.1
+"""Free width on either side of a path, m"""
+PATH_ACCELERATION = 5.0
+"""Acceleration in corners, m/s^2; integrators have no limit"""
+MAX_ROBOTS = 1000
+"""Maximum number of robots or obstacles in a file"""
+MAX_LENGTH = 1000.0
+"""Maximum length of a room, m"""
+
+
+class PlanarRoom(NamedTuple):
+    """A room with robots and unit squares.
+
+    Attributes:
+        start: (N, 2) starts, m.
+        goal: (N, 2) goals, m.
+        square: (K, 2) lower corners of the obstacles, squares of 1 m, m.
+        size: (2,) lengths of the room, m; its lower corner is the origin.
+    """
+
+    start: np.ndarray
+    goal: np.ndarray
+    square: np.ndarray
+    size: np.ndarray
+
+
+class RoomFlights(NamedTuple):
+    """Results of W rooms with N robots each.
+
+    Attributes:
+        reached: (W, N) bool, which robots are near their goals in the end.
+        collided: (W, N) bool, which robots overlapped another robot or an obstacle.
+    """
+
+    reached: np.ndarray
+    collided: np.ndarray
+
+    @property
+    def success(self) -> np.ndarray:
+        """Fraction of the robots that reach their goals without collision, (W,)."""
+        fraction: np.ndarray = (self.reached & ~self.collided).mean(axis=1)
+        return fraction
+
+
+def read_planar_room(path: Path) -> PlanarRoom:
+    """Read a room of the GLAS repository.
+
+    Its starts and goals are relative to the centres of unit cells, so that 0.5 m is added.
+
+    Args:
+        path: YAML file with `agents`, each with `start` and `goal`, and `map` with `dimensions` and
+            `obstacles`, the lower corners of squares of 1 m.
+
+    Returns:
+        The room.
+
+    Raises:
+        ValueError: If a value is missing or invalid.
+    """
+    with naming(path):
+        data = read_yaml(path)
+        agents = _entry(data, "agents")
+        agents = as_sequence("agents", agents, most=MAX_ROBOTS)
+        if not agents:
+            raise ValueError("agents is empty: at least one robot is needed")
+        ends = [
+            [_pair(f"{name} of robot {k}", _entry(one, name)) for name in ("start", "goal")]
+            for k, one in enumerate(agents)
+        ]
+        plan = _entry(data, "map")
+        size = _pair("dimensions", _entry(plan, "dimensions"), 1.0)
+        squares = as_sequence("obstacles", _entry(plan, "obstacles"), most=MAX_ROBOTS)
+        square = [_pair(f"obstacle {k}", one) for k, one in enumerate(squares)]
+    start, goal = np.swapaxes(np.array(ends), 0, 1) + 0.5
+    return PlanarRoom(start, goal, np.array(square).reshape(-1, 2), np.array(size))
+
+
+def _entry(value: Any, name: str) -> Any:
+    """Return an entry of a mapping."""
+    if not isinstance(value, dict) or name not in value:
+        raise ValueError(f"{name} is missing: a room of the GLAS repository is needed")
+    return value[name]
+
+
+def _pair(name: str, value: Any, least: float = -MAX_LENGTH) -> tuple[float, float]:
+    """Return a point of two coordinates, m."""
+    pair = numbers_of(f"{name} is {shown(value)}:", value)
+    if pair.shape != (2,):
+        raise ValueError(f"{name} is {shown(value)}: two coordinates are needed")
+    x, y = (finite(name, one, least, MAX_LENGTH) for one in pair.tolist())
+    return x, y
+
+
+def fly_planar_rooms(
+    rooms: Sequence[PlanarRoom],
+    *,
+    has_paths: bool = False,
+    num_steps: int = NUM_STEPS,
+    progress: Callable[[float], None] = lambda fraction: None,
+) -> RoomFlights:
+    """Fly all robots to their goals by `orca_velocities`, until all have arrived.
+
+    Args:
+        rooms: W rooms with the same number of robots.
+        has_paths: Whether robots prefer the velocity along the shortest path through the room, by
+            A* and `follow_paths`, instead of the velocity straight to the goal.
+        num_steps: Maximum number of steps.
+        progress: Callback for the finished fraction.
+
+    Returns:
+        The results.
+    """
+    position, goal = (
+        np.stack([_raise(room[k]) for room in rooms]) for k in (0, 1)
+    )
+    velocity = np.zeros_like(position)
+    walls = [_walls(room) for room in rooms]
+    buildings = tabulate_buildings([Solids(boxes) for boxes in walls])
+    paths = _plan_paths(rooms, position, goal) if has_paths else None
+    collided = np.zeros(position.shape[:2], dtype=bool)
+    for step in range(num_steps):
+        collided |= _find_collisions(position, rooms)
+        offset = goal - position
+        distance = np.linalg.norm(offset, axis=-1, keepdims=True)
+        if (distance <= ARRIVED).all():
+            break
+        wanted = offset / np.maximum(distance, 1.0)
+        if paths is not None:
+            wanted, paths = _follow(position, velocity, paths)
+        velocity = _choose_velocities(position, velocity, wanted, buildings)
+        position = position + PERIOD * velocity
+        progress((step + 1) / num_steps)
+    collided |= _find_collisions(position, rooms)
+    reached = np.linalg.norm(goal - position, axis=-1) <= GOAL_DISTANCE
+    return RoomFlights(reached, collided)
+
+
+def _raise(place: np.ndarray) -> np.ndarray:
+    """Return points (N, 2) of the plane as points (N, 3) in space, m."""
+    return np.column_stack([place, np.full(len(place), ALTITUDE)])
+
+
+def _walls(room: PlanarRoom) -> np.ndarray:
+    """Return the obstacles and the four walls of a room as boxes (K + 4, 2, 3), m."""
+    (x, y), one = room.size, 1.0
+    low = [*room.square, (-one, -one), (x, -one), (0, -one), (0, y)]
+    high = [*(room.square + one), (0, y + one), (x + one, y + one), (x, 0), (x, y + one)]
+    boxes = np.empty((len(low), 2, 3))
+    boxes[:, 0, :2], boxes[:, 1, :2] = low, high
+    boxes[:, :, 2] = ALTITUDE - HALF_HEIGHT, ALTITUDE + HALF_HEIGHT
+    return boxes
+
+
+def _choose_velocities(
+    position: np.ndarray, velocity: np.ndarray, wanted: np.ndarray, buildings: Buildings
+) -> np.ndarray:
+    """Compute the velocities of ORCA, (W, N, 3) m/s, among the nearest robots and the walls."""
+    worlds, robots, _ = position.shape
+    between = position[:, None] - position[:, :, None]
+    square = (between**2).sum(axis=-1)
+    square[:, np.arange(robots), np.arange(robots)] = np.inf
+    # A stable sort keeps equally distant robots in a fixed order
+    nearest = np.argsort(square, axis=-1, kind="stable")[..., :NUM_SEEN]
+    near = np.take_along_axis(square, nearest, axis=-1)
+    world = np.arange(worlds)[:, None, None]
+    clearance = ObstacleClearance(
+        AVOIDED_RADIUS, 0.0, AVOIDED_RADIUS + AVOIDED_TIME * ROBOT_SPEED
+    )
+    anywhere = (np.full(3, -np.inf), np.full(3, np.inf))
+    nothing = np.zeros((worlds, robots, 0, 3))
+    traffic = Traffic(
+        velocity=velocity,
+        goal=wanted,
+        goal_velocity=np.zeros_like(velocity),
+        offset=np.take_along_axis(between, nearest[..., None], axis=2),
+        other_velocity=velocity[world, nearest],
+        known=near <= SENSING_RANGE**2,
+        sphere=nothing,
+        sphere_velocity=nothing,
+        sphere_radius=nothing[..., 0],
+        surface=find_surfaces(position, anywhere, np.arange(worlds), buildings, clearance),
+    )
+    parameters = AvoidanceParameters(
+        separation=2 * AVOIDED_RADIUS,
+        horizon=AVOIDED_TIME,
+        braking_time=AVOIDED_TIME,
+        recovery_time=PERIOD,
+        max_speed=ROBOT_SPEED,
+    )
+    return orca_velocities(traffic, wanted, parameters)
+
+
+class _Paths(NamedTuple):
+    """Paths of the robots: waypoints (W, N, K, 3), m, their number, and the current one, (W, N)."""
+
+    point: np.ndarray
+    count: np.ndarray
+    current: np.ndarray
+
+
+def _plan_paths(rooms: Sequence[PlanarRoom], start: np.ndarray, goal: np.ndarray) -> _Paths:
+    """Plan the shortest path of each robot between the obstacles of its room."""
+    found = []
+    for room, starts, goals in zip(rooms, start, goal, strict=True):
+        low = np.array([0.0, 0.0, ALTITUDE - CELL / 2])
+        high = np.array([*room.size, ALTITUDE + CELL / 2])
+        # A path through free cells is half a cell nearer to obstacles than their centres
+        grid = build_voxels(_walls(room), low, high, CELL, AVOIDED_RADIUS + CELL / 2)
+        found += [plan_path(grid, one, end) for one, end in zip(starts, goals, strict=True)]
+    count = np.array([len(path) for path in found])
+    point = np.zeros((len(found), max(2, count.max()), 3))
+    for row, path in zip(point, found, strict=True):
+        row[: len(path)] = path
+    shape = start.shape[:2]
+    return _Paths(
+        point.reshape(*shape, -1, 3), count.reshape(shape), np.ones(shape, dtype=np.int64)
+    )
+
+
+def _follow(
+    position: np.ndarray, velocity: np.ndarray, paths: _Paths
+) -> tuple[np.ndarray, _Paths]:
+    """Compute the preferred velocities (W, N, 3) along the paths, m/s, and the paths ahead."""
+    width = np.full(paths.count.shape, PATH_WIDTH)
+    limits = PathLimits(ROBOT_SPEED, PATH_ACCELERATION, PERIOD, PATH_WIDTH)
+    wanted, current = follow_paths(position, velocity, *paths, width, limits)
+    return wanted, paths._replace(current=current)
+
+
+def _find_collisions(position: np.ndarray, rooms: Sequence[PlanarRoom]) -> np.ndarray:
+    """Return which robots overlap another robot or an obstacle, (W, N) bool; walls count not."""
+    place = position[..., :2]
+    apart = np.linalg.norm(place[:, None] - place[:, :, None], axis=-1)
+    robots = np.arange(place.shape[1])
+    apart[:, robots, robots] = np.inf
+    collided: np.ndarray = (apart < 2 * ROBOT_RADIUS - SLACK).any(axis=2)
+    for here, room, hit in zip(place, rooms, collided, strict=True):
+        nearest = np.clip(here[:, None], room.square, room.square + 1.0)
+        distance = np.linalg.norm(here[:, None] - nearest, axis=-1)
+        hit |= (distance < ROBOT_RADIUS - SLACK).any(axis=1)
+    return collided
