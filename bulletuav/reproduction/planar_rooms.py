@@ -10,15 +10,23 @@ References:
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
+from bulletuav.compiled.kernel import allocating
 from bulletuav.errors import as_sequence, finite, naming, numbers_of, shown
+from bulletuav.geometry.rotation import vec3
 from bulletuav.geometry.solids import Solids
 from bulletuav.parsing import read_yaml
 from bulletuav.policies.astar import plan_path
-from bulletuav.policies.half_spaces import AvoidanceParameters
+from bulletuav.policies.half_spaces import (
+    AvoidanceParameters,
+    add_half_space,
+    add_obstacle_half_spaces,
+    orca_half_space,
+)
+from bulletuav.policies.linear_program import DEPTH, solve_velocity
 from bulletuav.policies.orca import orca_velocities
 from bulletuav.policies.planner import PathLimits, follow_paths
 from bulletuav.policies.traffic import (
@@ -60,10 +68,24 @@ PATH_WIDTH = 0.1
 """Free width on either side of a path, m"""
 PATH_ACCELERATION = 5.0
 """Acceleration in corners, m/s^2; integrators have no limit"""
+PARAMETERS = AvoidanceParameters(
+    separation=2 * AVOIDED_RADIUS,
+    horizon=AVOIDED_TIME,
+    braking_time=AVOIDED_TIME,
+    recovery_time=PERIOD,
+    max_speed=ROBOT_SPEED,
+)
+"""Parameters of ORCA"""
+CLEARANCE = ObstacleClearance(AVOIDED_RADIUS, 0.0, AVOIDED_RADIUS + AVOIDED_TIME * ROBOT_SPEED)
+"""Distances to obstacles and walls"""
 MAX_ROBOTS = 1000
 """Maximum number of robots or obstacles in a file"""
 MAX_LENGTH = 1000.0
 """Maximum length of a room, m"""
+
+RoomPilot = Literal["plain", "orca", "paths"]
+"""Pilots of robots: ORCA as published; with the right turn of policy `orca`; and with this turn
+along the shortest paths through the room, by A*"""
 
 
 class PlanarRoom(NamedTuple):
@@ -151,30 +173,28 @@ def _pair(name: str, value: Any, least: float = -MAX_LENGTH) -> tuple[float, flo
 
 def fly_planar_rooms(
     rooms: Sequence[PlanarRoom],
+    pilot: RoomPilot = "plain",
     *,
-    has_paths: bool = False,
     num_steps: int = NUM_STEPS,
     progress: Callable[[float], None] = lambda fraction: None,
 ) -> RoomFlights:
-    """Fly all robots to their goals by `orca_velocities`, until all have arrived.
+    """Fly all robots to their goals, until all have arrived.
 
     Args:
         rooms: W rooms with the same number of robots.
-        has_paths: Whether robots prefer the velocity along the shortest path through the room, by
-            A* and `follow_paths`, instead of the velocity straight to the goal.
+        pilot: Pilot of all robots.
         num_steps: Maximum number of steps.
         progress: Callback for the finished fraction.
 
     Returns:
         The results.
     """
-    position, goal = (
-        np.stack([_raise(room[k]) for room in rooms]) for k in (0, 1)
-    )
+    position, goal = (np.stack([_raise(room[k]) for room in rooms]) for k in (0, 1))
     velocity = np.zeros_like(position)
     walls = [_walls(room) for room in rooms]
     buildings = tabulate_buildings([Solids(boxes) for boxes in walls])
-    paths = _plan_paths(rooms, position, goal) if has_paths else None
+    paths = _plan_paths(rooms, position, goal) if pilot == "paths" else None
+    choose = plain_orca_velocities if pilot == "plain" else orca_velocities
     collided = np.zeros(position.shape[:2], dtype=bool)
     for step in range(num_steps):
         collided |= _find_collisions(position, rooms)
@@ -185,7 +205,7 @@ def fly_planar_rooms(
         wanted = offset / np.maximum(distance, 1.0)
         if paths is not None:
             wanted, paths = _follow(position, velocity, paths)
-        velocity = _choose_velocities(position, velocity, wanted, buildings)
+        velocity = choose(_find_traffic(position, velocity, buildings), wanted, PARAMETERS)
         position = position + PERIOD * velocity
         progress((step + 1) / num_steps)
     collided |= _find_collisions(position, rooms)
@@ -209,10 +229,8 @@ def _walls(room: PlanarRoom) -> np.ndarray:
     return boxes
 
 
-def _choose_velocities(
-    position: np.ndarray, velocity: np.ndarray, wanted: np.ndarray, buildings: Buildings
-) -> np.ndarray:
-    """Compute the velocities of ORCA, (W, N, 3) m/s, among the nearest robots and the walls."""
+def _find_traffic(position: np.ndarray, velocity: np.ndarray, buildings: Buildings) -> Traffic:
+    """Return the nearest robots and the surfaces around each robot."""
     worlds, robots, _ = position.shape
     between = position[:, None] - position[:, :, None]
     square = (between**2).sum(axis=-1)
@@ -221,38 +239,67 @@ def _choose_velocities(
     nearest = np.argsort(square, axis=-1, kind="stable")[..., :NUM_SEEN]
     near = np.take_along_axis(square, nearest, axis=-1)
     world = np.arange(worlds)[:, None, None]
-    clearance = ObstacleClearance(
-        AVOIDED_RADIUS, 0.0, AVOIDED_RADIUS + AVOIDED_TIME * ROBOT_SPEED
-    )
     anywhere = (np.full(3, -np.inf), np.full(3, np.inf))
     nothing = np.zeros((worlds, robots, 0, 3))
-    traffic = Traffic(
+    return Traffic(
         velocity=velocity,
-        goal=wanted,
-        goal_velocity=np.zeros_like(velocity),
+        goal=nothing,
+        goal_velocity=nothing,
         offset=np.take_along_axis(between, nearest[..., None], axis=2),
         other_velocity=velocity[world, nearest],
         known=near <= SENSING_RANGE**2,
         sphere=nothing,
         sphere_velocity=nothing,
         sphere_radius=nothing[..., 0],
-        surface=find_surfaces(position, anywhere, np.arange(worlds), buildings, clearance),
+        surface=find_surfaces(position, anywhere, np.arange(worlds), buildings, CLEARANCE),
     )
-    parameters = AvoidanceParameters(
-        separation=2 * AVOIDED_RADIUS,
-        horizon=AVOIDED_TIME,
-        braking_time=AVOIDED_TIME,
-        recovery_time=PERIOD,
-        max_speed=ROBOT_SPEED,
-    )
-    return orca_velocities(traffic, wanted, parameters)
+
+
+@allocating
+def plain_orca_velocities(
+    traffic: Traffic, preferred: np.ndarray, parameters: AvoidanceParameters
+) -> np.ndarray:
+    """Compute the permitted velocities nearest to the preferred ones, without a right turn.
+
+    As in the paper and in RVO2, and unlike in `orca_velocities`, nothing breaks symmetries.
+
+    Args:
+        traffic: The traffic around each robot, with rows of other robots, without spheres.
+        preferred: (W, N, 3) preferred velocities, m/s.
+        parameters: Parameters of collision avoidance.
+
+    Returns:
+        (W, N, 3) velocities, m/s.
+
+    References:
+        J. van den Berg, S. Guy, M. Lin, D. Manocha, Reciprocal n-body collision avoidance (2011).
+    """
+    result = np.empty(preferred.shape)
+    rows = np.empty((DEPTH, traffic.known.shape[2] + traffic.surface.shape[2], 4))
+    scratch = np.empty_like(rows)
+    for w in range(preferred.shape[0]):
+        for i in range(preferred.shape[1]):
+            own = vec3(traffic.velocity, w, i)
+            count = add_obstacle_half_spaces(rows, 0, traffic, parameters, w, i)
+            for k in range(traffic.known.shape[2]):
+                if traffic.known[w, i, k]:
+                    offset = vec3(traffic.offset[w], i, k)
+                    other = vec3(traffic.other_velocity[w], i, k)
+                    keep = parameters.separation
+                    space = orca_half_space(offset, own, other, keep, parameters, 0.5)
+                    count = add_half_space(rows, count, space, parameters.max_speed)
+            wanted = vec3(preferred, w, i)
+            best = solve_velocity(rows, scratch, count, wanted, parameters.max_speed)
+            for axis in range(3):
+                result[w, i, axis] = best[axis]
+    return result
 
 
 class _Paths(NamedTuple):
     """Paths of the robots: waypoints (W, N, K, 3), m, their number, and the current one, (W, N)."""
 
     point: np.ndarray
-    count: np.ndarray
+    num_points: np.ndarray
     current: np.ndarray
 
 
@@ -275,11 +322,9 @@ def _plan_paths(rooms: Sequence[PlanarRoom], start: np.ndarray, goal: np.ndarray
     )
 
 
-def _follow(
-    position: np.ndarray, velocity: np.ndarray, paths: _Paths
-) -> tuple[np.ndarray, _Paths]:
+def _follow(position: np.ndarray, velocity: np.ndarray, paths: _Paths) -> tuple[np.ndarray, _Paths]:
     """Compute the preferred velocities (W, N, 3) along the paths, m/s, and the paths ahead."""
-    width = np.full(paths.count.shape, PATH_WIDTH)
+    width = np.full(paths.num_points.shape, PATH_WIDTH)
     limits = PathLimits(ROBOT_SPEED, PATH_ACCELERATION, PERIOD, PATH_WIDTH)
     wanted, current = follow_paths(position, velocity, *paths, width, limits)
     return wanted, paths._replace(current=current)
