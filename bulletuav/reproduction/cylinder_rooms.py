@@ -50,7 +50,7 @@ REACH_TICKS = 5
 """Number of steps over which the distance is averaged"""
 FINAL = 1.0
 """Time at the end over which the distance to the goal is averaged, s"""
-SPACING = 50.0
+SPACING = 20.0
 """Distance between rooms that are flown in one airspace, m"""
 
 DECISION_TICKS = 5

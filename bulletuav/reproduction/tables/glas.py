@@ -118,9 +118,10 @@ CROWD = (
 )
 """Explanation of the success in crowds"""
 TURN = (
-    "Policy orca turns right where its way is blocked, so that drones pass each other; robots that "
-    "would slide left around a square are held in front of it. Without the turn, the same "
-    "half-spaces give the row above."
+    "Policy orca turns right where its way is blocked. This leads past a single square, but here "
+    "the way to the right often ends in a corner of squares and walls: of 160 robots in rooms with "
+    "4 or 8 of them, 50 arrive only without the turn, and 26 only with it. Without the turn, the "
+    "same half-spaces give the row above."
 )
 """Explanation of the success of policy `orca`"""
 NOTES = (
