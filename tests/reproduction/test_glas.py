@@ -144,7 +144,7 @@ def test_the_table_has_the_success_of_known_rooms(rooms):
     assert rows["ORCA, 6 obstacles, 4 robots"].ours == 75.0
     assert rows["ORCA, 12 obstacles, 32 robots"].ours == pytest.approx(100 * 31 / 32)
     assert rows["ORCA, 12 obstacles, 32 robots"].published == RVO2_SUCCESS[12][4]
-    assert rows["best above ORCA (GLAS; here A* paths)"].published == 20.0
+    assert rows["points above ORCA, GLAS (orca on A* paths)"].published == 20.0
     means = np.mean([100 * (1 - (robots > 2) / robots) for robots in ROBOTS])
     assert rows["ORCA, mean"].ours == pytest.approx(means)
     assert len(outcome.figure.axes) == len(OBSTACLES)
