@@ -55,8 +55,8 @@ LAG = (
 )
 """Explanation of collisions and distances, from flights with other dynamics"""
 CROWD_LENGTH = (
-    "Drones never rest at a common goal, but keep moving around each other: these flights are 9.6 m "
-    "long, and those to random goals 4.3 m."
+    "Drones never rest at a common goal, but keep moving around each other: these flights are "
+    "9.6 m long, and those to random goals 4.3 m."
 )
 """Explanation of the length of flights"""
 REASONS = {"success": LAG, "collided": LAG, "distance": LAG, "length": CROWD_LENGTH}
