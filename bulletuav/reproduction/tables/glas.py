@@ -10,7 +10,7 @@ from bulletuav.analysis.metrics.estimates import Estimate, mean_estimate
 from bulletuav.errors import require_file
 from bulletuav.report.figures import blank_figure
 from bulletuav.reproduction.planar_rooms import RoomPilot, fly_planar_rooms, read_planar_room
-from bulletuav.reproduction.table import Data, Outcome, Reproduction, Row, Settings
+from bulletuav.reproduction.table import Data, Reproduction, Row, Settings, TableOutcome
 
 DATA = Data(
     repository="https://github.com/bpriviere/glas",
@@ -50,7 +50,7 @@ def _room_file(data: Path, obstacles: int, robots: int, room: int) -> Path:
     return require_file("room of GLAS", file, f"fetch it with: {DATA.commands}")
 
 
-def _compute(settings: Settings) -> Outcome:
+def _compute(settings: Settings) -> TableOutcome:
     """Fly all rooms by each pilot."""
     assert settings.data is not None
     count = settings.count(ROOMS)
@@ -106,7 +106,7 @@ def _compute(settings: Settings) -> Outcome:
         "success": {pilot: [one.mean for one in estimates[pilot]] for pilot in LABELS},
         "collided": collided,
     }
-    return Outcome(rows, _draw(estimates), NOTES, extra)
+    return TableOutcome(rows, _draw(estimates), NOTES, extra)
 
 
 CROWDED = 64

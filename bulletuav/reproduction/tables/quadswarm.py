@@ -14,7 +14,7 @@ from bulletuav.reproduction.cylinder_rooms import (
     draw_cylinder_room,
     fly_cylinder_rooms,
 )
-from bulletuav.reproduction.table import Outcome, Reproduction, Row, Settings
+from bulletuav.reproduction.table import Reproduction, Row, Settings, TableOutcome
 
 DENSITIES = (0.2, 0.4, 0.6, 0.8)
 """Fractions of cells with a cylinder"""
@@ -63,7 +63,7 @@ REASONS = {"success": LAG, "collided": LAG, "distance": LAG, "length": CROWD_LEN
 """Explanations by measure"""
 
 
-def _compute(settings: Settings) -> Outcome:
+def _compute(settings: Settings) -> TableOutcome:
     """Fly all cases."""
     flights: dict[Group, list[CylinderFlights]] = {}
     total = sum(drones * count for drones, count in EPISODES.items())
@@ -99,7 +99,7 @@ def _compute(settings: Settings) -> Outcome:
         }
         for (drones, density, pilot), flown in flights.items()
     }
-    return Outcome(rows, _draw(estimates), NOTES, extra)
+    return TableOutcome(rows, _draw(estimates), NOTES, extra)
 
 
 def _rng(*numbers: float) -> np.random.Generator:
