@@ -1,0 +1,157 @@
+"""Reference table of airborne edge computing: energy and delay of six policies."""
+
+import math
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from bulletuav.analysis.metrics import Estimate
+from bulletuav.report.figures import blank_figure
+from bulletuav.reproduction.edge_reference import (
+    EDGE_CITIES,
+    EDGE_SEED,
+    LEARNED,
+    TRAINING_SEED,
+    EdgeFlight,
+    EdgeScene,
+    fly_edge_scenes,
+)
+from bulletuav.reproduction.table import Outcome, Reproduction, Row, Settings
+from bulletuav.version import REPOSITORY
+
+HEURISTICS = ("stay", "hotspot", "kmeans", "oracle")
+"""Baselines: hovering in place, hotspots of users, clusters of users, and full information"""
+SCENES = (
+    EdgeScene("mec", "medium", (*HEURISTICS, LEARNED), steps=800_000),
+    EdgeScene("mec_advanced", "medium", (*HEURISTICS, "trained", LEARNED), steps=400_000),
+    EdgeScene("mec", "easy", ("stay", "kmeans", "oracle", "trained")),
+)
+"""Scenes of the table. The policy `trained` of `mec` is for the three drones of easy only."""
+DYNAMICS = ("point_mass", "rigid_body")
+"""Dynamics of all columns, and of the last one"""
+COLUMNS = {
+    "completed": ("fraction of completed tasks", ""),
+    "latency": ("mean delay", "s"),
+    "drone_power": ("power of a drone", "W"),
+    "task_energy": ("energy per completed task", "J"),
+    "safe_success": ("safe success", ""),
+    "return": ("return", ""),
+}
+"""Metrics of the table, with name and unit"""
+RIGID_BODY = "fraction of completed tasks in rigid_body"
+"""Name of the last column"""
+DIGITS = 4
+"""Number of significant digits of the published numbers"""
+SHOWN = ("completed", "latency", "task_energy")
+"""Metrics of the picture"""
+PUBLISHED: dict[tuple[str, str], tuple[float, ...]] = {}
+"""Published numbers by scene and policy: those of `COLUMNS`, then `RIGID_BODY`"""
+
+
+def rounding_error(number: float) -> float:
+    """Return half a unit of the last of `DIGITS` significant digits; 0 for 0."""
+    if number == 0:
+        return 0.0
+    return float(0.5 * 10.0 ** (math.floor(math.log10(abs(number))) + 1 - DIGITS))
+
+
+def make_edge_rows(flights: list[EdgeFlight], size: float) -> list[Row]:
+    """Return the rows of the table.
+
+    Args:
+        flights: Results of all policies, in each of `DYNAMICS`.
+        size: Fraction of the full size; a policy that is trained less is another one.
+    """
+    rows = []
+    for flight in flights:
+        case = flight.scene.name, flight.policy
+        known = PUBLISHED.get(case, (None,) * (len(COLUMNS) + 1))
+        shrunk = flight.policy == LEARNED and size < 1
+        why = f"trained with {size:g} of the decisions of the full table" if shrunk else ""
+        if flight.dynamics == DYNAMICS[0]:
+            cells = [(*COLUMNS[key], flight.estimates[key]) for key in COLUMNS]
+            numbers = known[:-1]
+        else:
+            cells = [(RIGID_BODY, "", flight.estimates["completed"])]
+            numbers = known[-1:]
+        rows += [
+            _make_row(f"{case[0]}, {case[1]}: {name}", unit, found, number, why)
+            for (name, unit, found), number in zip(cells, numbers, strict=True)
+        ]
+    return rows
+
+
+def _make_row(name: str, unit: str, found: Estimate, published: float | None, why: str) -> Row:
+    """Return a row of the table."""
+    tolerance = rounding_error(published or 0.0)
+    return Row(
+        name,
+        found.mean,
+        published,
+        unit,
+        found.low,
+        found.high,
+        tolerance=tolerance,
+        why=why,
+    )
+
+
+def _compute(settings: Settings) -> Outcome:
+    """Train, fly, and compare."""
+    flights = list(fly_edge_scenes(SCENES, DYNAMICS, settings))
+    rows = make_edge_rows(flights, settings.size)
+    episodes = flights[0].estimates["completed"].episodes
+    notes = (
+        f"{episodes} episodes of each policy, seeds {EDGE_SEED} to {EDGE_SEED + episodes - 1}, "
+        f"over {EDGE_CITIES['num_layouts']} cities that no training has seen.",
+        "stay, hotspot, kmeans and oracle read the true state; oracle ignores interference and "
+        "queues, so that it is a strong baseline and no upper bound.",
+        f"{LEARNED} is trained by this command with seed {TRAINING_SEED}; trained is the policy "
+        "in the package.",
+    )
+    hashes = {f"{one.scene.name}, {one.policy}, {one.dynamics}": one.hash for one in flights}
+    return Outcome(rows, _draw(flights), notes, {"hashes": hashes})
+
+
+def _draw(flights: list[EdgeFlight]) -> Figure:
+    """Draw a panel for each scene and metric, with a line for each policy."""
+    figure = blank_figure(10, 7)
+    heights = [len(scene.policies) for scene in SCENES]
+    grid = figure.subplots(len(SCENES), len(SHOWN), squeeze=False, height_ratios=heights)
+    for scene, panels in zip(SCENES, grid, strict=True):
+        mine = [one for one in flights if one.scene == scene and one.dynamics == DYNAMICS[0]]
+        names = [one.policy for one in mine]
+        place = np.arange(len(mine))
+        for key, axes in zip(SHOWN, panels, strict=True):
+            found = [one.estimates[key] for one in mine]
+            mean = np.array([one.mean for one in found])
+            sides = [mean - [one.low for one in found], [one.high for one in found] - mean]
+            axes.errorbar(mean, place, xerr=sides, fmt="o", capsize=3, label="bulletuav, 95 %")
+            column = list(COLUMNS).index(key)
+            known = [
+                (PUBLISHED[scene.name, name][column], k)
+                for k, name in enumerate(names)
+                if (scene.name, name) in PUBLISHED
+            ]
+            axes.plot(*np.reshape(known, (-1, 2)).T, "kx", label="published")
+            name, unit = COLUMNS[key]
+            axes.set(xlabel=f"{name}, {unit}" if unit else name, ylim=(len(mine) - 0.5, -0.5))
+            axes.set_yticks(place, names if key == SHOWN[0] else [])
+            axes.grid(alpha=0.3)
+        panels[1].set_title(scene.name)
+    figure.legend(*grid[0][0].get_legend_handles_labels(), loc="outside lower center", ncols=2)
+    return figure
+
+
+REPRODUCTION = Reproduction(
+    title="Reference of airborne edge computing: energy and delay",
+    publication="the bulletuav authors, docs/benchmarks/mec_reference.md, 2026",
+    address=REPOSITORY,
+    about=(
+        "Drones with servers compute the tasks of users on the ground of a city. Hovering in "
+        "place, two heuristics, an oracle and two learned policies are compared by the fraction of "
+        "tasks computed in time, delay, power, energy per task, safe success and return."
+    ),
+    minutes=10,
+    compute=_compute,
+)
