@@ -120,7 +120,11 @@ class DronePower:
 
 
 def finished_tasks(step: Step, aviary: Aviary) -> np.ndarray:
-    """Count the tasks of the episode that were computed in time, (W,)."""
+    """Count the tasks of the episode that were computed in time.
+
+    Returns:
+        (W,) number of tasks since the reset.
+    """
     finished: np.ndarray = aviary.scene.memory["finished"].copy()
     return finished
 
