@@ -13,6 +13,7 @@ from bulletuav.reproduction.table import (
     HEADINGS,
     Settings,
     format_cells,
+    list_reasons,
     record_outcome,
     write_outcome,
 )
@@ -45,9 +46,8 @@ def run(arguments: argparse.Namespace) -> None:
     for row in outcome.rows:
         printed.add_row(*format_cells(row))
     print_table(printed)
-    for row in outcome.rows:
-        if row.verdict == "explained":
-            print_text(f"{row.name}: {row.why}")
+    for reason in list_reasons(outcome.rows):
+        print_text(reason)
     for note in outcome.notes:
         print_text(note)
     print_files(write_outcome(record, outcome.figure, out))

@@ -245,6 +245,15 @@ def format_cells(row: Row) -> list[str]:
     return [row.name, row.unit, published, f"{row.ours:.{digits}g}", interval, row.verdict]
 
 
+def list_reasons(rows: Sequence[Row]) -> list[str]:
+    """Return the explanations of rows, each once, after the names of its rows."""
+    names: dict[str, list[str]] = {}
+    for row in rows:
+        if row.verdict == "explained":
+            names.setdefault(row.why, []).append(row.name)
+    return [f"{', '.join(found)}: {why}" for why, found in names.items()]
+
+
 HEADINGS = ("number", "unit", "published", "bulletuav", "95 % interval", "verdict")
 """Headings of the cells of a row"""
 

@@ -12,7 +12,13 @@ from typing import Any
 
 from site_reference import RESULTS, ROOT, rows_table
 
-from bulletuav.reproduction.table import HEADINGS, VERDICTS, format_cells, rows_of_record
+from bulletuav.reproduction.table import (
+    HEADINGS,
+    VERDICTS,
+    format_cells,
+    list_reasons,
+    rows_of_record,
+)
 
 REPRODUCED = RESULTS / "reproduced"
 PAGE = ROOT / "docs" / "benchmarks" / "reproduced.md"
@@ -72,13 +78,8 @@ def sections(record: dict[str, Any]) -> Iterator[str]:
     size = "" if record["size"] == 1.0 else f" at {record['size']:g} of the full size"
     yield f"About {record['minutes']:g} minutes on two cores{size}:\n\n```sh\n{command}\n```"
     yield rows_table(HEADINGS, [format_cells(row) for row in rows])
-    reasons: dict[str, list[str]] = {}
-    for row in rows:
-        if row.verdict == "explained":
-            reasons.setdefault(row.why, []).append(row.name)
-    for why, names in reasons.items():
-        yield f"- {', '.join(names)}: {why}"
-    yield from record["notes"]
+    for sentence in [*list_reasons(rows), *record["notes"]]:
+        yield f"- {sentence}"
     yield f"![{record['title']}](../results/reproduced/{name}.png)"
 
 

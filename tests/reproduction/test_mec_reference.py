@@ -24,7 +24,7 @@ from bulletuav.reproduction.edge_reference import (
     finished_tasks,
     fly_edge_scenes,
 )
-from bulletuav.reproduction.table import Settings, read_rows
+from bulletuav.reproduction.table import Settings, rows_of_record
 from bulletuav.reproduction.tables import mec_reference
 from bulletuav.reproduction.tables.mec_reference import (
     COLUMNS,
@@ -191,7 +191,7 @@ def test_each_policy_is_published_with_a_row_of_its_run():
     assert {*PUBLISHED} == cases
     assert all(len(numbers) == len(COLUMNS) + 1 for numbers in PUBLISHED.values())
     record = json.loads(RESULTS.read_text())
-    rows = read_rows(record)
+    rows = rows_of_record(record)
     assert record["size"] == 1.0
     assert len(rows) == sum(map(len, PUBLISHED.values()))
     assert [row.published for row in rows] == [

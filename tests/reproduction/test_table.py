@@ -1,6 +1,7 @@
 """Rows of reproduced tables, their verdicts, their files, and the command."""
 
 import json
+from dataclasses import replace
 
 import pytest
 
@@ -141,12 +142,13 @@ def test_the_command_computes_a_table_twice_alike(tmp_path, capsys):
 
 def test_the_command_prints_explanations_and_notes(tmp_path, capsys, monkeypatch):
     row = Row("lap", 8.0, 7.0, "s", goal="lower", why="Their rotors react faster.")
-    outcome = TableOutcome([row], blank_figure(2, 2), ["Laps of one track."])
+    rows = [row, replace(row, name="second lap"), Row("unexplained", 8.0, 7.0)]
+    outcome = TableOutcome(rows, blank_figure(2, 2), ["Laps of one track."])
     table = make_table(compute=lambda settings: outcome)
     monkeypatch.setattr("bulletuav.commands.reproduce.find_reproduction", lambda name: table)
     main(["reproduce", "erlang", "--out", str(tmp_path)])
     said = capsys.readouterr().out
-    assert "lap: Their rotors react faster." in said
+    assert said.count("lap, second lap: Their rotors react faster.") == 1
     assert "Laps of one track." in said
 
 

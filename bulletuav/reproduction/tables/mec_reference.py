@@ -16,7 +16,7 @@ from bulletuav.reproduction.edge_reference import (
     EdgeScene,
     fly_edge_scenes,
 )
-from bulletuav.reproduction.table import Outcome, Reproduction, Row, Settings
+from bulletuav.reproduction.table import Reproduction, Row, Settings, TableOutcome
 from bulletuav.version import REPOSITORY
 
 HEURISTICS = ("stay", "hotspot", "kmeans", "oracle")
@@ -112,7 +112,7 @@ def _make_row(name: str, unit: str, found: Estimate, published: float | None, wh
     )
 
 
-def _compute(settings: Settings) -> Outcome:
+def _compute(settings: Settings) -> TableOutcome:
     """Train, fly, and compare."""
     flights = list(fly_edge_scenes(SCENES, DYNAMICS, settings))
     rows = make_edge_rows(flights, settings.size)
@@ -127,7 +127,7 @@ def _compute(settings: Settings) -> Outcome:
         "in the package.",
     )
     hashes = {f"{one.scene.name}, {one.policy}, {one.dynamics}": one.hash for one in flights}
-    return Outcome(rows, _draw(flights), notes, {"hashes": hashes})
+    return TableOutcome(rows, _draw(flights), notes, {"hashes": hashes})
 
 
 def _draw(flights: list[EdgeFlight]) -> Figure:
