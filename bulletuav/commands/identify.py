@@ -40,6 +40,8 @@ def run(arguments: argparse.Namespace) -> None:
     if (arguments.example is None) != bool(arguments.logs):
         raise ValueError("identify what? Give either flight logs or --example FILE")
     if arguments.example is not None:
+        if arguments.measured:
+            raise ValueError("--measured has no effect with --example: the example has commands")
         rows = fly_example(load_airframe(arguments.airframe), EXAMPLE_SECONDS, seed=0)
         print_files([write_example_log(arguments.example, add_sensor_noise(rows, seed=0))])
         return
@@ -53,6 +55,7 @@ def run(arguments: argparse.Namespace) -> None:
             columns=arguments.map,
             mass=arguments.mass,
             window=WINDOW if arguments.window is None else arguments.window,
+            measured=arguments.measured,
             progress=lambda share: report(100 * share),
         )
     # Plot the prediction of the longest held-out flight

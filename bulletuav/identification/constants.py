@@ -142,19 +142,23 @@ to inertia_z, and the voltage constant scales the thrust.
 """
 
 
-def choose_constants(names: Sequence[str], has_other: bool, has_pwm: bool) -> list[Constant]:
+def choose_constants(
+    names: Sequence[str], has_other: bool, has_pwm: bool, measured: bool = False
+) -> list[Constant]:
     """Select the constants to fit.
 
     Args:
         names: Names of constants and groups; empty for all that logs of this kind can determine.
         has_other: Whether the logs contain the position of a drone above.
         has_pwm: Whether the logs contain motor commands and voltages.
+        measured: Whether rotor speeds were measured, so that the motors' lag has no effect.
 
     Returns:
         The constants, without duplicates.
 
     Raises:
-        ValueError: If a name is unknown, or the logs lack the columns that a constant needs.
+        ValueError: If a name is unknown, the logs lack the columns that a constant needs, or the
+            constant has no effect.
     """
     if not names:
         return [
@@ -162,6 +166,7 @@ def choose_constants(names: Sequence[str], has_other: bool, has_pwm: bool) -> li
             for constant in CONSTANTS
             if constant.name not in NOT_FITTED_BY_DEFAULT
             and (constant.group != "wake" or has_other)
+            and (constant.group != "lag" or not measured)
         ]
     chosen = []
     for name in names:
@@ -173,6 +178,10 @@ def choose_constants(names: Sequence[str], has_other: bool, has_pwm: bool) -> li
             )
         if found and found[0].group == "wake" and not has_other:
             raise ValueError(f"--fit {name} needs the columns other_x, other_y, other_z")
+        if found and found[0].group == "lag" and measured:
+            raise ValueError(
+                f"--fit {name} has no effect with --measured: measured speeds contain the lag"
+            )
         if found and found[0].group == "voltage" and not has_pwm:
             raise ValueError(f"--fit {name} needs the columns pwm1 ... and vbat")
         chosen += found

@@ -70,8 +70,8 @@ def make_legs(flight: LoggedFlight, windows: np.ndarray) -> tuple[Legs, Legs]:
     stride = max(flight.steps // STATES_PER_LEG, 1)
     half = max(flight.steps // (FREE_LEGS_PER_WINDOW * STATES_PER_LEG), 1)
     turns = start[:, None] + flight.steps // FREE_LEGS_PER_WINDOW * np.arange(FREE_LEGS_PER_WINDOW)
-    return Legs(start, STATES_PER_LEG, stride, True), Legs(
-        turns.ravel(), STATES_PER_LEG, half, False
+    return Legs(start, STATES_PER_LEG, stride, True, flight.measured), Legs(
+        turns.ravel(), STATES_PER_LEG, half, False, flight.measured
     )
 
 
@@ -80,7 +80,7 @@ class _RotorInputs:
     """Inputs of the rollouts of one log.
 
     Attributes:
-        command: Commanded rotor speeds, (n, R), rad/s.
+        command: Commanded rotor speeds, (n, R), rad/s; measured ones if there are any.
         speed: Rotor speeds, (n, R), rad/s.
         parameters: Rows of `PARAMETERS`, (1, N).
         hover_speed: Rotor speed of the other drone, rad/s.
@@ -99,15 +99,19 @@ class _RotorInputs:
 def _make_inputs(
     flight: LoggedFlight, airframe: Airframe, log_parameters: np.ndarray
 ) -> _RotorInputs:
-    """Simulate the rotors of an airframe under the commands of a log."""
-    command = flight.commands(airframe, DELAY_UNIT * log_parameters[0])
+    """Simulate the rotors of an airframe under the commands of a log, or read their speeds."""
+    delay = DELAY_UNIT * log_parameters[0]
+    read = flight.measured_speeds if flight.measured else flight.commands
+    command = read(airframe, delay)
     other = len(flight.track.other) > 0
     parameters = parameter_rows([airframe] * (1 + other))[None]
     gain = 1.0 + GAIN_UNIT * log_parameters[6]
     parameters["thrust_coefficient"][0, 0] *= gain
     parameters["torque_coefficient"][0, 0] *= gain
-    speed = np.empty_like(command)
-    simulate_rotors(command, parameters[0, 0], flight.dt, speed)
+    speed = command
+    if not flight.measured:
+        speed = np.empty_like(command)
+        simulate_rotors(command, parameters[0, 0], flight.dt, speed)
     unit = TORQUE_BIAS_UNIT * airframe.mass * STANDARD_GRAVITY * airframe.arm
     torque_bias = (unit * log_parameters[3], unit * log_parameters[4], unit * log_parameters[5])
     return _RotorInputs(

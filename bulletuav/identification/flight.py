@@ -48,6 +48,7 @@ class LoggedFlight:
         gyro_bias: Bias of the gyroscope, (3,), rad/s, which is subtracted from `track.rates`.
         windows: Index of the first sample of each window, (K,).
         steps: Number of samples in a window.
+        measured: Whether the rotor speeds of the log were measured, not commanded.
     """
 
     log: Log
@@ -57,6 +58,7 @@ class LoggedFlight:
     gyro_bias: np.ndarray
     windows: np.ndarray
     steps: int
+    measured: bool = False
 
     @property
     def grid(self) -> np.ndarray:
@@ -87,6 +89,19 @@ class LoggedFlight:
         commands: np.ndarray = np.maximum(mean, 0.0)
         return commands
 
+    def measured_speeds(self, airframe: Airframe, delay: float) -> np.ndarray:
+        """Return the measured rotor speeds at the samples.
+
+        Args:
+            airframe: The airframe.
+            delay: Delay of the measurements, s; negative if they are late.
+
+        Returns:
+            Rotor speeds, (n, R), rad/s, interpolated linearly.
+        """
+        speeds = logged_speeds(self.log, airframe).T
+        return np.stack([np.interp(self.grid - delay, self.log.time, one) for one in speeds], 1)
+
 
 @kernel
 def _speed_fractions(volts: np.ndarray, nominal: float, fraction: np.ndarray) -> None:
@@ -113,13 +128,16 @@ def logged_speeds(log: Log, airframe: Airframe) -> np.ndarray:
     return turning
 
 
-def prepare_log(log: Log, airframe: Airframe, window: float) -> LoggedFlight:
+def prepare_log(
+    log: Log, airframe: Airframe, window: float, measured: bool = False
+) -> LoggedFlight:
     """Resample and smooth a log on one clock, and find its windows of flight.
 
     Args:
         log: A log that has passed `checks.check_log`.
         airframe: The airframe that was flown.
         window: Duration of a window, s.
+        measured: Whether the rotor speeds of the log were measured, not commanded.
 
     Returns:
         The flight.
@@ -160,7 +178,7 @@ def prepare_log(log: Log, airframe: Airframe, window: float) -> LoggedFlight:
             f"{MIN_THRUST:g} weights, and z must be above {stands:.3g} m, where {airframe.name} "
             f"stands; z goes from {position[:, 2].min():.3g} to {position[:, 2].max():.3g} m"
         )
-    return LoggedFlight(log, dt, track, delay, bias, starts, steps)
+    return LoggedFlight(log, dt, track, delay, bias, starts, steps, measured)
 
 
 def _resample_columns(grid: np.ndarray, log: Log, names: tuple[str, ...]) -> np.ndarray:

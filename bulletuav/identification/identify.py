@@ -123,6 +123,7 @@ def identify(
     columns: Iterable[str] = (),
     mass: float | None = None,
     window: float = WINDOW,
+    measured: bool = False,
     progress: Progress = ignore_progress,
 ) -> Identification:
     """Fit constants of an airframe to flight logs.
@@ -138,6 +139,8 @@ def identify(
         columns: Mappings NAME=COLUMN[*FACTOR][+OFFSET] for columns with other names or units.
         mass: Mass in flight, kg; the airframe's own by default. Forces scale with it.
         window: Duration of the predicted flights, s.
+        measured: Whether the rotor speeds of the logs were measured, not commanded. They are
+            interpolated between samples, and the motors' lag is not applied.
         progress: Callback that receives the completed fraction.
 
     Returns:
@@ -145,7 +148,8 @@ def identify(
 
     Raises:
         FileNotFoundError: If a log does not exist.
-        ValueError: If a log is damaged or not informative, or a name is unknown.
+        ValueError: If a log is damaged or not informative, or a name is unknown; if `measured` is
+            given for motor commands.
     """
     drone = load_airframe(airframe)
     if mass is not None:
@@ -156,10 +160,16 @@ def identify(
     read = [check_log(read_flight_log(log, sources, drone), drone) for log in logs]
     has_other = all(OTHER[0] in log for log in read)
     has_volts = all(log.kind == "pwm" and "vbat" in log for log in read)
-    constants = choose_constants(fit, has_other, has_volts)
+    for log in read:
+        if measured and log.kind == "pwm":
+            raise ValueError(
+                f"{log.path}: --measured needs rotor speeds, as w1 ... or rpm1 ...: pwm1 ... are "
+                f"commands"
+            )
+    constants = choose_constants(fit, has_other, has_volts, measured)
     flights = []
     for k, log in enumerate(read):
-        flights.append(prepare_log(log, drone, window))
+        flights.append(prepare_log(log, drone, window, measured))
         progress(0.1 * (k + 1) / len(read))
     parts, kept = split_flights(flights)
     if not fit and count_low_windows(parts, drone) < MIN_LOW_WINDOWS:

@@ -95,6 +95,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help=_factors,
     )
     parser.add_argument(
+        "--measured",
+        action="store_true",
+        help="rotor speeds of the logs (w1 ..., rpm1 ...) are measured, not commanded: the motors' "
+        "lag is not applied",
+    )
+    parser.add_argument(
         "--mass", type=float, metavar="KG", help="take-off mass (default: that of the airframe)"
     )
     parser.add_argument(
