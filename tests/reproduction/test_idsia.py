@@ -178,6 +178,17 @@ def test_intervals_contain_the_mean_of_all_blocks():
     assert (high[:, 3] - low[:, 3] < 8 * 0.58 * np.sqrt(50 / 2000)).all()
 
 
+def test_drag_that_is_too_strong_is_measured():
+    windows = protocol.cut_windows([steady_flight(rates=(0, 0, 1.0), velocity=(1.0, 0.5, 0.2))])
+    predicted = windows.state[:, 1:].copy()
+    assert idsia.measure_drag_excess(predicted, windows) == pytest.approx(0.0, abs=1e-12)
+    # All velocities decay by 0.4 1/s
+    predicted[..., 7:10] *= 1.0 - 0.4 * 0.01 * np.arange(1, 51)[:, None]
+    still = dataclasses.replace(windows, state=windows.state.copy())
+    still.state[:, :, 3:7] = [0, 0, 0, 1]
+    assert idsia.measure_drag_excess(predicted, still) == pytest.approx(0.4)
+
+
 def test_spikes_are_replaced_by_the_next_speeds():
     speed = np.tile(np.arange(10.0)[:, None], (1, 4))
     speed[5, 2] = 4e5

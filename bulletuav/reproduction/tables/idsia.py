@@ -8,6 +8,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from bulletuav.analysis.metrics.estimates import mean_estimate
+from bulletuav.geometry.quaternions import rotate_vectors
+from bulletuav.identification.errors import conjugate
 from bulletuav.report.figures import blank_figure
 from bulletuav.reproduction.nanodrone_data import (
     HELD_OUT,
@@ -77,6 +79,8 @@ BLOCK_WINDOWS = 500
 """Number of consecutive windows of a block of the bootstrap: 5 s"""
 MAX_LOG_SCORE = 7.0
 """Logarithm of the score of candidates that diverge"""
+FREE, SHIPPED = "inertia free (effective)", "inertia as shipped"
+"""Names of the two models that are fitted"""
 ALL_HORIZONS = np.arange(1, NUM_STEPS + 1)
 
 
@@ -195,8 +199,9 @@ def make_rows(
     ours: np.ndarray,
     published: np.ndarray,
     goal: Literal["equal", "lower"],
+    whys: dict[tuple[int, int], str],
 ) -> list[Row]:
-    """Return the 16 rows of a model."""
+    """Return the 16 rows of a model, with explanations of some by quantity and column."""
     return [
         Row(
             f"{label}: {QUANTITIES[i]}, {COLUMNS_OF_TABLE[j]}",
@@ -205,9 +210,30 @@ def make_rows(
             UNITS[i],
             tolerance=TOLERANCE,
             goal=goal,
+            why=whys.get((i, j), ""),
         )
         for i, j in np.ndindex(4, 4)
     ]
+
+
+def measure_drag_excess(predicted: np.ndarray, windows: NanodroneWindows) -> float:
+    """Measure how much faster a model loses velocity in the rotor plane than the drone, 1/s.
+
+    Args:
+        predicted: Predicted states, (K, 50, 13).
+        windows: The windows.
+
+    Returns:
+        Slope of the velocity errors along the body's x and y axes after 0.1 s over the velocities
+        along these axes at the start, divided by 0.1 s; positive if the model's drag is too strong.
+    """
+    at = 9
+    true = windows.state[:, at + 1]
+    off = rotate_vectors(conjugate(true[:, 3:7]), predicted[:, at, 7:10] - true[:, 7:10])
+    start = windows.state[:, 0]
+    moving = rotate_vectors(conjugate(start[:, 3:7]), start[:, 7:10])
+    x, y = moving[:, :2].ravel(), off[:, :2].ravel()
+    return float(-(x @ y) / (x @ x) / ((at + 1) * STEP))
 
 
 def draw_errors(curves: dict[str, np.ndarray], bars: dict[str, np.ndarray]) -> Figure:
@@ -224,8 +250,8 @@ def draw_errors(curves: dict[str, np.ndarray], bars: dict[str, np.ndarray]) -> F
     colours = {
         "naive": "#999999",
         "physics": "#444444",
-        "inertia free (effective)": "#0077bb",
-        "inertia as shipped": "#ee7733",
+        FREE: "#0077bb",
+        SHIPPED: "#ee7733",
     }
     markers = {"naive": "x", "physics": "s", "MLP": "v", "hybrid": "D", "LSTM": "^"}
     for quantity, (panel, title) in enumerate(zip(panels.flat, QUANTITIES, strict=True)):
@@ -249,6 +275,8 @@ def draw_errors(curves: dict[str, np.ndarray], bars: dict[str, np.ndarray]) -> F
             xlabel="time ahead (ms)",
             ylabel=f"mean error of {title} ({UNITS[quantity]})",
         )
+        panel.set_xticks([10, 20, 50, 100, 200, 500], ["10", "20", "50", "100", "200", "500"])
+        panel.minorticks_off()
         panel.grid(alpha=0.3)
     handles, labels = panels.flat[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=3, fontsize=8)
@@ -278,7 +306,7 @@ def _compute(settings: Settings) -> Outcome:
     unit = measure_unit(windows)
     start = NanodroneModel(load_airframe("cf21B"), {})
     models = {}
-    for label, kept in (("inertia free (effective)", ()), ("inertia as shipped", INERTIA)):
+    for label, kept in ((FREE, ()), (SHIPPED, INERTIA)):
         names = [name for name in selection.names if name not in kept]
         models[label] = fit_nanodrone_model(
             windows, start, names, selection.objective, unit, settings.count(FIT_ITERATIONS, 2)
@@ -287,7 +315,7 @@ def _compute(settings: Settings) -> Outcome:
     held_out = read_flights(folder, HELD_OUT)
     full = max(len(flight.state) for flight in held_out) - NUM_STEPS
     tests = cut_windows(held_out, count=settings.count(full, 2 * NUM_STEPS))
-    errors, curves, bars, apart = {}, {}, {}, {}
+    errors, curves, bars, apart, excess = {}, {}, {}, {}, {}
     for label, predict in (
         *((label, _predictor(model)) for label, model in models.items()),
         ("naive", predict_constant),
@@ -300,8 +328,10 @@ def _compute(settings: Settings) -> Outcome:
         apart[label] = summarise_errors(score_runs_apart(predicted, tests))
         if label in models:
             bars[label] = estimate_intervals(found, tests.run)
+            excess[label] = measure_drag_excess(predicted, tests)
         advance()
-    return _report(selection, models, errors, apart, draw_errors(curves, bars), bars)
+    excess["training flights"] = measure_drag_excess(_predictor(models[FREE])(windows), windows)
+    return _report(selection, models, errors, apart, draw_errors(curves, bars), bars, excess)
 
 
 def _predictor(model: NanodroneModel) -> Callable[[NanodroneWindows], np.ndarray]:
@@ -315,17 +345,33 @@ def _report(
     apart: dict[str, np.ndarray],
     figure: Figure,
     bars: dict[str, np.ndarray],
+    excess: dict[str, float],
 ) -> Outcome:
     """Make the rows, the notes and the further values."""
-    free, shipped = models
+    free, shipped = FREE, SHIPPED
     own, airframe = models[free].airframe.inertia, models[shipped].airframe.inertia
     ratios = [a / b for a, b in zip(own, airframe, strict=True)]
     best = best_published()
+    # Explanations are measured: they are given where the measurement supports them
+    drag, inertia = {}, {}
+    if excess[free] > max(2 * excess["training flights"], 0.0):
+        drag = dict.fromkeys(
+            ((1, 0), (1, 1)),
+            "the drag that training flights give is too strong on the held-out trajectory: "
+            f"velocities in the rotor plane decay faster than measured by {excess[free]:.2f} 1/s, "
+            f"against {excess['training flights']:.2f} 1/s on the training flights",
+        )
+    if min(ratios[:2]) > 2.0:
+        inertia = dict.fromkeys(
+            ((2, 0), (2, 1), (3, 0), (3, 1)),
+            "measured rotor speeds ask for more angular acceleration than the drone shows: the "
+            f"free inertia is {ratios[0]:.1f} and {ratios[1]:.1f} times the shipped one",
+        )
     rows = [
-        *make_rows(free, errors[free], best, "lower"),
-        *make_rows(shipped, errors[shipped], best, "lower"),
-        *make_rows("naive", errors["naive"], published_errors("naive"), "equal"),
-        *make_rows("physics", errors["physics"], published_errors("physics"), "equal"),
+        *make_rows(free, errors[free], best, "lower", drag),
+        *make_rows(shipped, errors[shipped], best, "lower", drag | inertia),
+        *make_rows("naive", errors["naive"], published_errors("naive"), "equal", {}),
+        *make_rows("physics", errors["physics"], published_errors("physics"), "equal", {}),
     ]
     good = ("within", "better")
     counts = {
@@ -333,7 +379,9 @@ def _report(
         for label in errors
     }
     same = counts["naive"] + counts["physics"]
-    plain = np.stack([errors[name] / published_errors(name) - 1.0 for name in ("naive", "physics")])
+    plain = np.stack([errors[name] for name in ("naive", "physics")])
+    known = np.stack([published_errors(name) for name in ("naive", "physics")])
+    beyond = (np.abs(plain - known) - TOLERANCE) / known
     notes = [
         f"{free}: first or tied in {counts[free]} of 16 columns, with {len(selection.names)} "
         f"fitted constants; {shipped}: in {counts[shipped]}.",
@@ -341,7 +389,7 @@ def _report(
         "one about x and y: rotor speeds that are sampled at 100 Hz carry torque that the body "
         "does not show.",
         f"The naive and the physical model, computed again: {same} of 32 columns agree to the "
-        f"digit, and all within {100 * np.abs(plain).max():.2g} %. The published errors are of "
+        f"digit, the others within {100 * beyond.max():.1g} % of it. The published errors are of "
         "files in Git LFS; ours are of the recordings in the repository, processed as the authors "
         "describe.",
         "Constants and objective were chosen by leaving out one training trajectory after the "
@@ -368,6 +416,7 @@ def _report(
         },
         "errors_runs_apart": apart,
         "intervals": bars,
+        "drag_excess": excess,
     }
     return Outcome(rows, figure, notes, extra)
 
@@ -392,7 +441,7 @@ REPRODUCTION = Reproduction(
         "constants stand next to the best published error of each column, of physical, residual, "
         "hybrid and recurrent models. The naive and the physical model are computed again."
     ),
-    minutes=10,
+    minutes=2,
     compute=_compute,
     data=DATA,
 )
