@@ -104,11 +104,10 @@ def read_nanodrone_flight(folder: Path, name: str) -> NanodroneFlight:
         motors = _stack(columns, [f"m{k}_rads" for k in (1, 2, 3, 4)], path)
         flight = NanodroneFlight(name, _read_state(columns, path), motors)
     else:
-        from bulletuav.adapters.parquet import read_table  # which needs an extra
-
         simulated = folder / SIMULATED[name.partition("_")[0]]
         require_file("a simulated flight of the benchmark", simulated, REMEDY)
-        flight = process_recording(read_table(path), path, read_table(simulated), simulated)
+        columns, reference = _read_parquet(path), _read_parquet(simulated)
+        flight = process_recording(columns, path, reference, simulated)
     flight.state[:, 3:7] /= np.linalg.norm(flight.state[:, 3:7], axis=1, keepdims=True)
     return NanodroneFlight(name, flight.state[:-1], flight.speed[:-1])
 
@@ -133,7 +132,7 @@ def process_recording(
     state = _read_state(columns, path)
     acceleration = _stack(columns, ACCELERATIONS, path)
     erpm = _stack(columns, [f"m{k}_erpm" for k in (1, 2, 3, 4)], path)
-    speed = ERPM * remove_spikes(erpm)
+    speed = ERPM * remove_speed_spikes(erpm)
     body = rotate_vectors(conjugate(state[:, 3:7]), acceleration)
     speed = align_speeds(speed, body[:, 2])
     reference = _read_state(simulated, source)
@@ -170,7 +169,7 @@ def rotation_vectors_of(quaternions: np.ndarray) -> np.ndarray:
     return vectors
 
 
-def remove_spikes(speed: np.ndarray) -> np.ndarray:
+def remove_speed_spikes(speed: np.ndarray) -> np.ndarray:
     """Replace spikes of any motor by the next speeds of all motors.
 
     Args:
@@ -184,7 +183,7 @@ def remove_spikes(speed: np.ndarray) -> np.ndarray:
     bad[:-1] |= jumps
     bad[1:] |= jumps
     bad[:-2] |= jumps[1:]
-    return fill_gaps(np.where(bad[:, None], np.nan, speed))
+    return fill_from_next(np.where(bad[:, None], np.nan, speed))
 
 
 def align_speeds(speed: np.ndarray, acceleration: np.ndarray) -> np.ndarray:
@@ -215,7 +214,7 @@ def smooth_flight(values: np.ndarray, cutoff: float) -> np.ndarray:
     return smoothed
 
 
-def fill_gaps(values: np.ndarray) -> np.ndarray:
+def fill_from_next(values: np.ndarray) -> np.ndarray:
     """Replace NaN in series (n, C) by the next value, at the end by the last one."""
     count = len(values)
     filled = values.copy()
@@ -238,13 +237,23 @@ def _stack(columns: dict[str, np.ndarray], names: Sequence[str], path: Path) -> 
     missing = [name for name in names if name not in columns]
     if missing:
         raise ValueError(f"{path} lacks the column {missing[0]}: {REMEDY}")
-    values = fill_gaps(np.stack([columns[name].astype(float) for name in names], axis=1))
+    values = fill_from_next(np.stack([columns[name].astype(float) for name in names], axis=1))
     if len(values) < MIN_SAMPLES:
         raise ValueError(f"{path} has {len(values)} rows: at least {MIN_SAMPLES} are needed")
     if not np.isfinite(values).all():
         bad = names[int(np.argmin(np.isfinite(values).all(axis=0)))]
         raise ValueError(f"{path}: column {bad} is not finite: {REMEDY}")
     return values
+
+
+def _read_parquet(path: Path) -> dict[str, np.ndarray]:
+    """Read the columns of a Parquet file."""
+    from bulletuav.adapters.parquet import read_table  # which needs an extra
+
+    try:
+        return read_table(path)
+    except ValueError:
+        raise ValueError(f"{path} is damaged: {REMEDY}") from None
 
 
 def _read_csv(path: Path) -> dict[str, np.ndarray]:

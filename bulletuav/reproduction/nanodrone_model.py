@@ -154,7 +154,7 @@ def _predict_chunk(
     # A rotor's thrust is proportional to the square of its speed
     speed = speed * np.sqrt(np.maximum(gains, 0.0))
     parameters = parameter_rows([model.airframe])[None]
-    begin = to_body(start, speed[:, 0], own, parameters)
+    begin = to_body_state(start, speed[:, 0], own, parameters)
     # Legs begin at every 51st sample; measured states are read there only
     rows = (NUM_STEPS + 1) * np.arange(count)
     track = np.zeros((count * (NUM_STEPS + 1), 13))
@@ -182,7 +182,7 @@ def _predict_chunk(
         own["lift"],
     )
     kept = states[:, horizons - 1].reshape(-1, 13)
-    measured = to_measured(kept, speed[:, horizons].reshape(-1, 4), own, parameters)
+    measured = to_measured_state(kept, speed[:, horizons].reshape(-1, 4), own, parameters)
     return measured.reshape(count, len(horizons), 13)
 
 
@@ -205,7 +205,7 @@ def shift_speeds(speed: np.ndarray, delay: float) -> np.ndarray:
     return shifted
 
 
-def to_body(
+def to_body_state(
     state: np.ndarray, speed: np.ndarray, own: dict[str, float], parameters: np.ndarray
 ) -> np.ndarray:
     """Return the states (K, 13) of the drone's body at the time of measured states (K, 13).
@@ -223,10 +223,10 @@ def to_body(
     return found
 
 
-def to_measured(
+def to_measured_state(
     state: np.ndarray, speed: np.ndarray, own: dict[str, float], parameters: np.ndarray
 ) -> np.ndarray:
-    """Return the measured states (K, 13) of states (K, 13) of the drone's body; see `to_body`."""
+    """Return the measured states (K, 13) of states (K, 13) of the body; see `to_body_state`."""
     found = state.copy()
     found[:, :3] -= own["position_offset"] * state[:, 7:10]
     found[:, 7:10] -= own["velocity_offset"] * _accelerations(state, speed, own, parameters)

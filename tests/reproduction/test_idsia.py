@@ -21,8 +21,8 @@ from bulletuav.reproduction.nanodrone_model import (
     fit_nanodrone_model,
     predict_states,
     shift_speeds,
-    to_body,
-    to_measured,
+    to_body_state,
+    to_measured_state,
 )
 from bulletuav.reproduction.rotation_vectors import from_rotation_vectors, to_rotation_vectors
 from bulletuav.reproduction.table import Settings
@@ -192,7 +192,7 @@ def test_drag_that_is_too_strong_is_measured():
 def test_spikes_are_replaced_by_the_next_speeds():
     speed = np.tile(np.arange(10.0)[:, None], (1, 4))
     speed[5, 2] = 4e5
-    cleaned = data.remove_spikes(speed)
+    cleaned = data.remove_speed_spikes(speed)
     # The jumps before and after the spike remove a sample more on each side
     np.testing.assert_array_equal(cleaned[:, 0], [0, 1, 2, 7, 7, 7, 7, 7, 8, 9])
     np.testing.assert_array_equal(cleaned[:, 2], cleaned[:, 0])
@@ -261,9 +261,9 @@ def test_measurement_is_inverted_to_first_order():
     parameters = parameter_rows([DRONE])[None]
     flight = make_flight(3)
     state, speed = flight.state[40:50], flight.speed[40:50]
-    body = to_body(state, speed, own, parameters)
+    body = to_body_state(state, speed, own, parameters)
     moved = np.abs(body - state).max()
-    again = np.abs(to_measured(body, speed, own, parameters) - state).max()
+    again = np.abs(to_measured_state(body, speed, own, parameters) - state).max()
     assert moved > 5e-3
     assert again < 0.02 * moved
 
@@ -377,6 +377,13 @@ def test_damaged_recordings_raise_an_error(folder, change, message):
     path = folder / data.RECORDINGS / data.HELD_OUT[0]
     write_recording(path, columns)
     with pytest.raises(ValueError, match=message):
+        data.read_nanodrone_flight(folder, data.HELD_OUT[0])
+
+
+def test_damaged_parquet_files_raise_an_error(folder):
+    path = folder / data.SIMULATED["melon"]
+    path.write_bytes(path.read_bytes()[:200])
+    with pytest.raises(ValueError, match="melon_20251017.parquet is damaged: fetch the commit"):
         data.read_nanodrone_flight(folder, data.HELD_OUT[0])
 
 
