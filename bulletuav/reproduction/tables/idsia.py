@@ -389,7 +389,7 @@ def _report(
         "one about x and y: rotor speeds that are sampled at 100 Hz carry torque that the body "
         "does not show.",
         f"The naive and the physical model, computed again: {same} of 32 columns agree to the "
-        f"digit, the others within {100 * beyond.max():.1g} % of it. The published errors are of "
+        f"digit, the others within {100 * beyond.max():.1g} % more. The published errors are of "
         "files in Git LFS; ours are of the recordings in the repository, processed as the authors "
         "describe.",
         "Constants and objective were chosen by leaving out one training trajectory after the "
