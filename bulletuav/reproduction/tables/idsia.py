@@ -41,7 +41,7 @@ from bulletuav.reproduction.nanodrone_protocol import (
     score_windows,
     summarise_errors,
 )
-from bulletuav.reproduction.table import Data, Outcome, Reproduction, Row, Settings
+from bulletuav.reproduction.table import Data, Reproduction, Row, Settings, TableOutcome
 from bulletuav.vehicle.airframes import load_airframe
 
 QUANTITIES = ("position", "velocity", "rotation", "rates")
@@ -288,7 +288,7 @@ def read_flights(folder: Path, names: Sequence[str]) -> list[NanodroneFlight]:
     return [read_nanodrone_flight(folder, name) for name in names]
 
 
-def _compute(settings: Settings) -> Outcome:
+def _compute(settings: Settings) -> TableOutcome:
     """Choose and fit the models on training flights, then predict the held-out flights once."""
     folder = DATA.find(settings.data, "idsia")
     training = {name: read_flights(folder, names) for name, names in TRAINING.items()}
@@ -346,7 +346,7 @@ def _report(
     figure: Figure,
     bars: dict[str, np.ndarray],
     excess: dict[str, float],
-) -> Outcome:
+) -> TableOutcome:
     """Make the rows, the notes and the further values."""
     free, shipped = FREE, SHIPPED
     own, airframe = models[free].airframe.inertia, models[shipped].airframe.inertia
@@ -418,7 +418,7 @@ def _report(
         "intervals": bars,
         "drag_excess": excess,
     }
-    return Outcome(rows, figure, notes, extra)
+    return TableOutcome(rows, figure, notes, extra)
 
 
 DATA = Data(
