@@ -3,6 +3,7 @@
 import numpy as np
 
 from bulletuav import load_airframe
+from bulletuav.reproduction.nanobench_flights import compute_rotor_commands as rotor_speed
 from bulletuav.vehicle import aerodynamics, wake
 from bulletuav.vehicle.parameters import parameter_rows
 
@@ -10,23 +11,15 @@ AIRFRAME = load_airframe("cf2x")
 ROW = parameter_rows([AIRFRAME])[0]
 ROTOR_DRAG = (AIRFRAME.drag_xy, AIRFRAME.drag_xy, AIRFRAME.drag_z)
 """N for each rad/s (sum of the rotors) and m/s"""
-
-
-def rotor_speed(pwm: np.ndarray, volts: np.ndarray) -> np.ndarray:
-    """Return commanded rotor speeds.
-
-    Measured maps of three sources agree, see docs/explanation/truth.md. The package's battery is
-    this line
-    about hover: 4670.5 rpm and more at its PWM map, at 3.57 V.
-
-    Args:
-        pwm: Motor commands, shares of the greatest.
-        volts: Voltage of the battery under load.
-
-    Returns:
-        Speeds, rad/s.
-    """
-    return (1900.0 + 6980.0 * pwm * volts) * (2.0 * np.pi / 60.0)
+__all__ = [
+    "AIRFRAME",
+    "ROTOR_DRAG",
+    "ROW",
+    "ground_effect",
+    "rotor_speed",
+    "wake_force",
+    "wake_moment",
+]
 
 
 def _wakes(

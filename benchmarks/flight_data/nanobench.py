@@ -9,37 +9,20 @@ from pathlib import Path
 
 import numpy as np
 
+from bulletuav.reproduction import nanobench_flights
+from bulletuav.reproduction.nanobench_flights import MIN_FLIGHT_COMMAND as IDLE
+from bulletuav.reproduction.nanobench_flights import MIN_FLIGHT_HEIGHT as LOWEST
+from bulletuav.reproduction.nanobench_flights import MOTOR_COLUMNS as MOTORS
+from bulletuav.reproduction.nanobench_flights import NANOBENCH_COLUMNS as COLUMNS
+from bulletuav.reproduction.nanobench_flights import NANOBENCH_DT as DT
 from bulletuav.vehicle.airframe import STANDARD_GRAVITY
 from flight_data.predictors import Predictor
-from flight_data.series import (
-    FULL_PWM,
-    LogError,
-    binned,
-    binned_error,
-    moments,
-    require_columns,
-    require_finite,
-    require_rising,
-    rms,
-    rotations,
-    without_copies,
-)
+from flight_data.series import binned, binned_error, moments, rms, rotations
 
 REPOSITORY, LICENCE = "nanobench-iros2026", "BSD-3-Clause"
-FAMILIES = ("B2_", "B3_", "B5_", "B6_", "B7_", "B8_", "B9_", "B10_")
-"""Flights that are used: not the excitation, the stairs, the drained battery, random waypoints"""
-POSITION = ("px", "py", "pz")
-QUATERNION = ("qx", "qy", "qz", "qw")
-VELOCITY = ("vx", "vy", "vz")
-MOTORS = tuple(f"motor_motor_m{i}" for i in range(1, 5))
-COLUMNS = ("t", *POSITION, *QUATERNION, *VELOCITY, *MOTORS, "pwr_pm_vbat")
-DT = 0.01
+__all__ = ["COLUMNS", "DT", "IDLE", "LOWEST", "MOTORS"]
 STEPS = 50
 """Rows of a window"""
-LOWEST = 0.5
-"""Least height of a window, m: out of the ground effect, and of take-off"""
-IDLE = 0.08
-"""Least command of a motor that flies, share"""
 SPEEDS = (-1.4, -1.0, -0.7, -0.5, -0.35, -0.2, -0.1, 0.1, 0.2, 0.35, 0.5, 0.7, 1.0, 1.4)
 """Edges of bins of the velocity along a body axis, m/s"""
 FEWEST = 20
@@ -73,45 +56,22 @@ class Windows:
 
 
 def load(path: Path) -> Flight:
-    """Read one flight.
+    """Read one flight; see `nanobench_flights.read_nanobench_flight`."""
+    return _with_matrices(nanobench_flights.read_nanobench_flight(path))
 
-    Raises:
-        LogError: Columns or numbers are missing, times fall, motor commands are out of range (the
-            radio's packets were misread), or it never flew.
-    """
-    name = path.stem
-    with path.open() as lines:
-        header = lines.readline().strip().split(",")
-    require_columns(name, header, COLUMNS)
-    indices = [header.index(column) for column in COLUMNS]
-    table = np.genfromtxt(path, delimiter=",", skip_header=1, usecols=indices, ndmin=2)
-    require_finite(name, table, COLUMNS)
-    require_rising(name, table[:, 0])
-    pwm = table[:, 11:15] / FULL_PWM
-    if pwm.min() < 0.0 or pwm.max() > 1.0:
-        raise LogError(f"{name}: motor commands from {pwm.min():.2f} to {pwm.max():.2f} of full")
-    if table[:, 3].max() < LOWEST:
-        raise LogError(f"{name}: never above {LOWEST:g} m")
-    attitude = rotations(table[:, 4:8])
+
+def _with_matrices(read: nanobench_flights.NanobenchFlight) -> Flight:
+    attitude = rotations(read.quaternion)
     return Flight(
-        name, table[:, 0], table[:, 1:4], table[:, 8:11], attitude, pwm, volts=table[:, 15]
+        read.name, read.time, read.position, read.velocity, attitude, read.pwm, read.volts
     )
 
 
 def load_all(folder: Path) -> tuple[list[Flight], list[str]]:
     """Read the flights of a clone: those that can be used, and why others cannot."""
-    paths = [
-        path
-        for path in (folder / "datasets" / "dataset").glob("*.csv")
-        if path.name.startswith(FAMILIES)
-    ]
-    flights, refused = [], []
-    for path in without_copies(paths):
-        try:
-            flights.append(load(path))
-        except LogError as error:
-            refused.append(str(error))
-    return flights, refused
+    paths = nanobench_flights.find_nanobench_flights(folder)
+    flights, refused = nanobench_flights.read_nanobench_flights(paths)
+    return [_with_matrices(flight) for flight in flights], refused
 
 
 def window_starts(flight: Flight) -> np.ndarray:

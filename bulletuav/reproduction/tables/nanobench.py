@@ -1,0 +1,337 @@
+"""NanoBench's table of predictions of a Crazyflie's flights."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from bulletuav.analysis.metrics.estimates import Estimate, mean_estimate
+from bulletuav.report.figures import blank_figure
+from bulletuav.reproduction.flight_series import LogError
+from bulletuav.reproduction.nanobench_flights import (
+    NANOBENCH_DT,
+    NanobenchFlight,
+    find_nanobench_flights,
+    read_nanobench_flights,
+)
+from bulletuav.reproduction.nanobench_rollouts import (
+    CHANNELS,
+    HORIZON,
+    RATE_ROWS,
+    DroneTrim,
+    FlightWindows,
+    calibrate_trim,
+    compute_channel_errors,
+    find_all_windows,
+    find_flown_windows,
+    hold_rates,
+    pick_evenly,
+    predict_constant,
+    predict_windows,
+)
+from bulletuav.reproduction.table import Data, Outcome, Reproduction, Row, Settings
+from bulletuav.vehicle.airframe import Airframe
+from bulletuav.vehicle.airframes import load_airframe
+
+FLOWN_MASS = 0.04085
+"""Mass of the drone with markers and charging deck, kg (paper, section IV-B)"""
+MAX_RATE = 35.0
+"""Range of the gyroscope, 2000 degrees/s, in rad/s"""
+WINDOWS_PER_FLIGHT = 200
+TRAINING_WINDOWS = 40
+UNITS = ("m", "m/s", "rad", "rad/s")
+STEPS = (1, 10, 50)
+"""Rows after which the paper states errors; the last number is the sum over 1 to 50"""
+PUBLISHED = {
+    "naive": (
+        (0.0057, 0.0585, 0.2866, 7.3866),
+        (0.0085, 0.0786, 0.3542, 9.4178),
+        (0.0033, 0.0285, 0.0915, 2.7563),
+        (0.0402, 0.2602, 0.4524, 17.1131),
+    ),
+    "physics": (
+        (0.0003, 0.0265, 0.6364, 10.9641),
+        (0.0511, 0.5085, 2.5673, 65.0322),
+        (0.0019, 0.0198, 0.1425, 3.2693),
+        (0.0402, 0.2602, 0.4524, 17.1131),
+    ),
+    "residual": (
+        (0.0045, 0.0445, 0.2282, 5.6810),
+        (0.0121, 0.1096, 0.6708, 16.9002),
+        (0.0084, 0.1051, 0.1971, 8.8737),
+        (0.2043, 1.1173, 1.3046, 54.1783),
+    ),
+    "physics + residual": (
+        (0.0036, 0.0121, 0.2621, 4.4071),
+        (0.0201, 0.1370, 1.0771, 26.7469),
+        (0.0065, 0.1359, 0.1825, 9.8645),
+        (0.8784, 1.5799, 1.1781, 55.3050),
+    ),
+    "LSTM": (
+        (0.0058, 0.0332, 0.2562, 5.9194),
+        (0.0199, 0.1077, 0.4782, 11.9639),
+        (0.0162, 0.1339, 0.3059, 9.8302),
+        (0.1256, 0.8159, 5.1525, 118.0662),
+    ),
+}
+"""Errors in the paper's Table V, by model: position, velocity, attitude, rates"""
+SHOWN_STEPS = (10, 50)
+"""Rows of which the predictions of the package are listed"""
+GIVEN, HELD, FREE = "attitude given", "rates held", "free"
+"""Predictions of the package: attitude and rates of the log; constant rates, as in the paper's
+physics model; and the whole state predicted
+"""
+TOLERANCE = 5e-5
+"""Half a unit of the last published digit"""
+
+
+def _compute(settings: Settings) -> Outcome:
+    """Predict the flights, compare the errors, and draw them."""
+    assert settings.data is not None  # the command checks it
+    flights, refused = _read(settings)
+    # Halves first: the constants of the airframe were fitted to these training flights
+    training, tested = (_keep_valid_rates(half, refused) for half in (flights[::2], flights[1::2]))
+    airframe = replace(load_airframe("cf2x"), mass=FLOWN_MASS)
+    count = settings.count(WINDOWS_PER_FLIGHT, least=4)
+    fewer = settings.count(TRAINING_WINDOWS, least=4)
+    trim = calibrate_trim(_find_windows(training, fewer), airframe)
+    settings.progress(0.7)
+    kept = _find_windows(tested, count)
+    errors, explained = _predict_all(kept, airframe, trim, settings)
+    everything = [find_all_windows(flight, count) for flight in (*training, *tested)]
+    naive = np.stack([_mean_error(one, predict_constant(one)) for one in everything])
+    rows = _list_rows(naive, errors, explained)
+    settings.progress(1.0)
+    notes = (
+        "The published numbers are Table V of the paper, which gives no list of its test flights; "
+        "naive rows use all windows of all readable flights, on the ground as well.",
+        f"Predictions use {sum(len(one.starts) for one in kept)} windows in the air of every "
+        f"second flight ({len(kept)}). Gain of the thrust, tilt of the markers and torque of an "
+        "asymmetric drone are calibrated on the other flights, once for all; drag and voltage map "
+        "of the airframe were fitted to those flights earlier.",
+        "Rotor speeds at the start of a window follow from the earlier commands. The paper trains "
+        "on a multi-sine flight; random waypoints and stairs are not read.",
+        f"Free predictions: commands explain {explained[0]:.0%} of the variance of the change of "
+        f"roll rate within 0.1 s, {explained[1]:.0%} for pitch.",
+        f"Not usable: {len(refused)} flights.",
+    )
+    return Outcome(
+        rows,
+        _draw(naive, errors),
+        notes,
+        extra={
+            "refused": refused,
+            "gain": trim.gain,
+            "tilt_rad": trim.tilt,
+            "torque_n_m": trim.torque,
+            "explained_variance": explained,
+            "published": PUBLISHED,
+            "sums": {
+                name: values.mean(axis=0).sum(axis=0).tolist() for name, values in errors.items()
+            },
+        },
+    )
+
+
+def _read(settings: Settings) -> tuple[list[NanobenchFlight], list[str]]:
+    """Read the flights, and the reasons why others cannot be used."""
+    assert settings.data is not None
+    found = np.array(find_nanobench_flights(settings.data), dtype=object)
+    paths = pick_evenly(found, settings.count(len(found), least=4))
+    flights: list[NanobenchFlight] = []
+    refused: list[str] = []
+    for k, path in enumerate(paths):
+        some, reasons = read_nanobench_flights([path])
+        flights += some
+        refused += reasons
+        settings.progress(0.4 * (k + 1) / len(paths))
+    return flights, refused
+
+
+def _keep_valid_rates(
+    flights: Sequence[NanobenchFlight], refused: list[str]
+) -> list[NanobenchFlight]:
+    """Drop flights whose gyroscope exceeds its range, and add the reasons to a list."""
+    kept = []
+    for flight in flights:
+        fastest = float(np.abs(flight.rates).max())
+        if fastest > MAX_RATE:
+            refused.append(f"{flight.name}: gyroscope up to {fastest:.0f} rad/s")
+        else:
+            kept.append(flight)
+    return kept
+
+
+def _find_windows(flights: Sequence[NanobenchFlight], count: int) -> list[FlightWindows]:
+    """Find windows of flights.
+
+    Raises:
+        LogError: If there are none.
+    """
+    found = [find_flown_windows(flight, count) for flight in flights]
+    found = [windows for windows in found if len(windows.starts)]
+    if not found:
+        names = ", ".join(flight.name for flight in flights) or "none readable"
+        raise LogError(f"no flight of half a second in the data (flights: {names}); fetch it again")
+    return found
+
+
+def _predict_all(
+    kept: Sequence[FlightWindows], airframe: Airframe, trim: DroneTrim, settings: Settings
+) -> tuple[dict[str, np.ndarray], list[float]]:
+    """Predict windows in all modes.
+
+    Returns:
+        Mean errors of each flight by mode, (F, HORIZON, 4), and the explained fractions of the
+        variance of changes of roll and pitch rate within `RATE_ROWS` rows.
+    """
+    held = hold_rates(airframe)
+    errors: dict[str, list[np.ndarray]] = {name: [] for name in (GIVEN, HELD, FREE, "naive")}
+    changes = []
+    for k, windows in enumerate(kept):
+        free = predict_windows(windows, airframe, trim, is_guided=False)
+        errors[GIVEN].append(
+            _mean_error(windows, predict_windows(windows, airframe, trim, True), trim)
+        )
+        errors[HELD].append(_mean_error(windows, predict_windows(windows, held, trim, False), trim))
+        errors[FREE].append(_mean_error(windows, free, trim))
+        errors["naive"].append(_mean_error(windows, predict_constant(windows)))
+        rates, starts = windows.flight.rates, windows.starts
+        measured = rates[starts + RATE_ROWS] - rates[starts]
+        changes.append((measured, free[:, RATE_ROWS - 1, 10:] - rates[starts]))
+        settings.progress(0.7 + 0.25 * (k + 1) / len(kept))
+    measured, predicted = (np.concatenate(column) for column in zip(*changes, strict=True))
+    explained = [_explain(measured[:, axis], predicted[:, axis]) for axis in (0, 1)]
+    return {name: np.stack(values) for name, values in errors.items()}, explained
+
+
+def _explain(measured: np.ndarray, predicted: np.ndarray) -> float:
+    """Return the squared coefficient of correlation, 0 for constant series."""
+    variance = np.var(measured) * np.var(predicted)
+    covariance = np.mean((measured - measured.mean()) * (predicted - predicted.mean()))
+    return float(covariance**2 / variance) if variance > 0 else 0.0
+
+
+def _mean_error(
+    windows: FlightWindows, states: np.ndarray, trim: DroneTrim | None = None
+) -> np.ndarray:
+    """Return the mean errors over the windows of one flight, (HORIZON, 4)."""
+    tilt = (0.0, 0.0) if trim is None else trim.tilt
+    mean: np.ndarray = compute_channel_errors(windows, states, tilt).mean(axis=0)
+    return mean
+
+
+def _estimate(values: np.ndarray, step: int, channel: int) -> Estimate:
+    """Estimate an error over flights after some rows."""
+    return mean_estimate(values[:, step - 1, channel].tolist())
+
+
+def _seconds(step: int) -> str:
+    """Format the time of a number of rows."""
+    return f"{NANOBENCH_DT * step:g} s"
+
+
+def _list_rows(
+    naive: np.ndarray, errors: dict[str, np.ndarray], explained: Sequence[float]
+) -> list[Row]:
+    """List the errors next to the published ones."""
+    rows = []
+    for channel, name in enumerate(CHANNELS):
+        for k, step in enumerate(STEPS):
+            mean, low, high, _ = _estimate(naive, step, channel)
+            rows.append(
+                Row(
+                    f"naive: {name} after {_seconds(step)}",
+                    mean,
+                    PUBLISHED["naive"][channel][k],
+                    UNITS[channel],
+                    low,
+                    high,
+                    TOLERANCE,
+                )
+            )
+    drifts = (
+        f"motor commands, logged at 100 Hz, explain {explained[0]:.0%} (roll) and "
+        f"{explained[1]:.0%} (pitch) of the variance of changes of body rates within 0.1 s, so "
+        "integrated torques drift; the published physics model holds the rates constant"
+    )
+    for mode, model, channels in (
+        (HELD, "physics", (0, 1, 2)),
+        (FREE, "physics + residual", (0, 1, 2, 3)),
+        (GIVEN, "", (0, 1)),
+    ):
+        for channel in channels:
+            for step in SHOWN_STEPS:
+                mean, low, high, _ = _estimate(errors[mode], step, channel)
+                published = PUBLISHED[model][channel][STEPS.index(step)] if model else None
+                against = f" (published: {model})" if model else ""
+                rows.append(
+                    Row(
+                        f"{mode}: {CHANNELS[channel]} after {_seconds(step)}{against}",
+                        mean,
+                        published,
+                        UNITS[channel],
+                        low,
+                        high,
+                        TOLERANCE,
+                        "lower",
+                        drifts if mode == FREE else "",
+                    )
+                )
+    return rows
+
+
+def _draw(naive: np.ndarray, errors: dict[str, np.ndarray]) -> Figure:
+    """Draw errors against the horizon, with the published ones as marks."""
+    figure = blank_figure(11, 8)
+    panels = figure.subplots(2, 2)
+    seconds = NANOBENCH_DT * np.arange(1, HORIZON + 1)
+    colours = {"naive": "black", GIVEN: "#4477aa", HELD: "#228833", FREE: "#ee7733"}
+    marks = dict(zip(PUBLISHED, "os^vD", strict=True))
+    for channel, axes in enumerate(panels.ravel()):
+        for name, colour in colours.items():
+            if channel > 1 and name == GIVEN:
+                continue
+            values = (naive if name == "naive" else errors[name])[..., channel].mean(axis=0)
+            axes.plot(seconds, values, color=colour, label=f"bulletuav, {name}")
+        for model, mark in marks.items():
+            axes.plot(
+                NANOBENCH_DT * np.array(STEPS),
+                PUBLISHED[model][channel][:3],
+                mark,
+                color=colours["naive"] if model == "naive" else "#aa3377",
+                fillstyle="none",
+                label=f"published, {model}",
+            )
+        axes.set(
+            xlabel="prediction horizon, s",
+            ylabel=f"mean error of {CHANNELS[channel]}, {UNITS[channel]}",
+            yscale="log",
+        )
+        axes.grid(alpha=0.3)
+    panels[0, 0].legend(fontsize=8)
+    return figure
+
+
+REPRODUCTION = Reproduction(
+    title="NanoBench: predictions of a Crazyflie half a second ahead",
+    publication=(
+        "S. I. Ullah and J. Baca, NanoBench: A Multi-Task Benchmark Dataset for Nano-Quadrotor "
+        "System Identification, Control, and State Estimation, 2026"
+    ),
+    address="https://arxiv.org/abs/2603.09908",
+    about=(
+        "Task 1, Table V: errors of open-loop predictions from motor commands, 1, 10 and 50 steps "
+        "of 0.01 s ahead, on flights of a Crazyflie 2.1. The airframe cf2x predicts with the "
+        "attitude of the log, with constant body rates, and with the whole state free."
+    ),
+    minutes=0.5,
+    compute=_compute,
+    data=Data(
+        repository="https://github.com/syediu/nanobench-iros2026",
+        commit="0ae7d689749db174dc779ab2f7c416cc12e14e2b",
+        licence="BSD-3-Clause",
+        contains="datasets/dataset/B2_circle_fast_rep1.csv",
+    ),
+)

@@ -1,0 +1,268 @@
+"""NanoBench's table on small made-up flights, whose thrust, tilt and drag are known."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from bulletuav import load_airframe
+from bulletuav.reproduction import find_reproduction
+from bulletuav.reproduction.flight_series import LogError
+from bulletuav.reproduction.nanobench_flights import (
+    MOTOR_COLUMNS,
+    NANOBENCH_COLUMNS,
+    NanobenchFlight,
+    compute_rotor_commands,
+    find_nanobench_flights,
+    read_nanobench_flight,
+    read_nanobench_flights,
+)
+from bulletuav.reproduction.nanobench_rollouts import (
+    HORIZON,
+    DroneTrim,
+    FlightWindows,
+    calibrate_trim,
+    compute_channel_errors,
+    find_flown_windows,
+    hold_rates,
+    pick_evenly,
+    predict_constant,
+    predict_windows,
+)
+from bulletuav.reproduction.table import Settings
+from bulletuav.reproduction.tables import nanobench
+
+G = 9.80665
+AIRFRAME = replace(load_airframe("cf2x"), mass=nanobench.FLOWN_MASS)
+GAIN = 0.9
+"""Factor of the thrust of the made-up drone"""
+
+
+def hover_pwm(gain=GAIN, volts=3.7):
+    """The command at which the thrust is the weight."""
+    speed = np.sqrt(AIRFRAME.mass * G / (4 * gain * AIRFRAME.thrust_coefficient))
+    return (speed * 30 / np.pi - 1900) / (6980 * volts)
+
+
+def made_up_flight(seconds=4.0, speed=1.0, course=0.0, tilt=(0.0, 0.0), name="B2_a"):
+    """A level flight that its drag slows down, under hover commands.
+
+    Rotors spin at the speed of hover with a lower gain, so that drag is that of this speed.
+    """
+    t = np.arange(0.0, seconds, 0.01)
+    pwm = hover_pwm()
+    total = 4 * compute_rotor_commands(np.array(pwm), np.array(3.7))
+    rate = AIRFRAME.drag_xy * total / AIRFRAME.mass
+    velocity = speed * np.exp(-rate * t)
+    along = speed / rate * (1 - np.exp(-rate * t))
+    axis = np.array([np.cos(course), np.sin(course), 0.0])
+    heading = Rotation.from_euler("z", course)
+    quaternion = (heading * Rotation.from_rotvec([*tilt, 0.0]).inv()).as_quat()
+    return NanobenchFlight(
+        name,
+        time=t + 1e9,
+        position=np.outer(along, axis) + [0.0, 0.0, 1.0],
+        velocity=np.outer(velocity, axis),
+        quaternion=np.tile(quaternion, (len(t), 1)),
+        rates=np.zeros((len(t), 3)),
+        pwm=np.full((len(t), 4), pwm),
+        volts=np.full(len(t), 3.7),
+    )
+
+
+def write_flight(folder, flight, change=lambda table: None):
+    columns = np.column_stack(
+        [
+            flight.time,
+            flight.position,
+            flight.quaternion,
+            flight.velocity,
+            flight.rates,
+            flight.pwm * 65535,
+            flight.volts,
+        ]
+    )
+    table = dict(zip(NANOBENCH_COLUMNS, columns.T.copy(), strict=True))
+    change(table)
+    path = folder / "datasets" / "dataset" / f"{flight.name}.csv"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    rows = np.stack(list(table.values()), axis=1)
+    np.savetxt(path, rows, delimiter=",", header=",".join(table), comments="", fmt="%.9f")
+    return path
+
+
+def test_a_flight_is_read_as_it_was_written(tmp_path):
+    flight = made_up_flight()
+    read = read_nanobench_flight(write_flight(tmp_path, flight))
+    for name, values in vars(flight).items():
+        if name != "name":
+            np.testing.assert_allclose(getattr(read, name), values, atol=1e-7, err_msg=name)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda t: t.pop("imu_gyro_y"), "no column imu_gyro_y"),
+        (lambda t: t["qx"].__setitem__(7, np.nan), "first in qx, row 7"),
+        (lambda t: t["t"].__setitem__(5, 0.0), "do not rise"),
+        (lambda t: t[MOTOR_COLUMNS[2]].__setitem__(9, -6553.5), "from -0.10 to"),
+        (lambda t: t["pz"].__imul__(0.2), "never above 0.5 m"),
+    ],
+)
+def test_broken_flights_are_left_out_with_the_reason(tmp_path, change, message):
+    path = write_flight(tmp_path, made_up_flight(), change)
+    flights, refused = read_nanobench_flights([path])
+    assert not flights
+    assert len(refused) == 1
+    assert refused[0].startswith("B2_a: ")
+    assert message in refused[0]
+
+
+def test_a_torn_file_is_left_out(tmp_path):
+    path = write_flight(tmp_path, made_up_flight())
+    text = path.read_text()
+    path.write_text(text + "1,2,3\n")
+    with pytest.raises(LogError, match="B2_a: rows differ in length"):
+        read_nanobench_flight(path)
+
+
+def test_a_folder_without_flights_is_named(tmp_path):
+    with pytest.raises(LogError, match="no flights; is it a clone"):
+        find_nanobench_flights(tmp_path)
+
+
+def test_windows_leave_out_rows_on_the_ground_and_gaps():
+    flight = made_up_flight()
+    flight.position[200:210, 2] = 0.1
+    flight.time[330:] += 0.05
+    starts = find_flown_windows(flight, 1000).starts
+    assert starts[0] == 50
+    # A window needs flight from 50 rows before its first row to its last row
+    assert starts[starts < 240].max() == 199 - HORIZON
+    assert starts[(starts >= 200)].min() == 260
+    assert not [s for s in starts if s < 330 <= s + HORIZON]
+
+
+def test_items_are_picked_evenly():
+    assert pick_evenly(np.arange(101), 3).tolist() == [0, 50, 100]
+    assert pick_evenly(np.arange(2), 3).tolist() == [0, 1]
+
+
+def test_errors_are_norms_and_the_angle_between_attitudes():
+    flight = made_up_flight(speed=0.0)
+    windows = FlightWindows(flight, np.array([60, 100]))
+    states = predict_constant(windows)
+    states[..., :3] += [0.3, 0.0, 0.4]
+    states[..., 7:10] += [0.0, 1.2, 0.5]
+    states[..., 3:7] = -(Rotation.from_rotvec([0.0, 2.5, 0.0])).as_quat()
+    states[..., 10:] += [2.0, 1.0, 2.0]
+    errors = compute_channel_errors(windows, states)
+    np.testing.assert_allclose(errors, np.broadcast_to([0.5, 1.3, 2.5, 3.0], errors.shape))
+
+
+def test_a_flight_by_the_law_itself_is_predicted_and_naive_is_not():
+    windows = find_flown_windows(made_up_flight(), 10)
+    trim = DroneTrim(gain=GAIN)
+    given = compute_channel_errors(windows, predict_windows(windows, AIRFRAME, trim, True))
+    naive = compute_channel_errors(windows, predict_constant(windows))
+    assert naive[:, -1, 0].min() > 0.1
+    # The drag of the body, which the made-up flight lacks, remains
+    assert given[:, -1, 0].max() < 0.004
+    assert given[:, -1, 1].max() < 0.016
+
+
+@pytest.mark.parametrize("is_guided", [True, False])
+def test_predictions_turn_with_the_world(is_guided):
+    trim = DroneTrim(GAIN, (0.01, -0.02), (1e-6, 2e-6, -1e-6))
+    errors = []
+    for course in (0.0, 2.0):
+        windows = FlightWindows(made_up_flight(course=course), np.array([60, 120, 200]))
+        states = predict_windows(windows, AIRFRAME, trim, is_guided)
+        errors.append(compute_channel_errors(windows, states, trim.tilt))
+    np.testing.assert_allclose(errors[0], errors[1], atol=1e-7)
+    assert errors[0][:, -1, 1].min() > 0.01
+
+
+def test_held_rates_stay_and_free_rates_follow_the_torque():
+    windows = FlightWindows(made_up_flight(speed=0.0), np.array([60]))
+    windows.flight.rates[:] = [0.0, 0.0, 0.5]
+    trim = DroneTrim(GAIN, torque=(1e-5, 0.0, 0.0))
+    held = predict_windows(windows, hold_rates(AIRFRAME), trim, False)[0, -1]
+    np.testing.assert_allclose(held[10:], [0.0, 0.0, 0.5], atol=1e-6)
+    angle = Rotation.from_quat(held[3:7]).magnitude()
+    assert angle == pytest.approx(0.25, abs=1e-4)
+    undamped = replace(AIRFRAME, damping=(0.0, 0.0, 0.0))
+    free = predict_windows(windows, undamped, trim, False)[0, 9]
+    assert free[10] == pytest.approx(1e-5 / AIRFRAME.inertia[0] * 0.1, rel=0.02)
+
+
+def test_gain_and_tilt_of_a_drone_are_found_again():
+    flights = [
+        made_up_flight(speed=speed, course=course, tilt=(0.02, -0.01))
+        for speed, course in ((0.5, 0.0), (0.5, np.pi))
+    ]
+    # Backwards and forwards, so that drag does not look like a tilt
+    flights[1].quaternion[:] = flights[0].quaternion
+    trim = calibrate_trim([find_flown_windows(flight, 10) for flight in flights], AIRFRAME)
+    assert trim.gain == pytest.approx(GAIN, rel=2e-3)
+    assert trim.tilt == pytest.approx((0.02, -0.01), abs=2e-3)
+
+
+@pytest.fixture
+def clone(tmp_path):
+    for k, course in enumerate((0.0, np.pi / 2, np.pi, -np.pi / 2, 0.5, 2.5)):
+        flight = made_up_flight(course=course, speed=0.5 + 0.1 * k, name=f"B2_{k}")
+        write_flight(tmp_path, flight)
+    write_flight(tmp_path, made_up_flight(name="B3_low", speed=0.7), lambda t: t["pz"].__imul__(0))
+    write_flight(
+        tmp_path, made_up_flight(name="B3_spun"), lambda t: t["imu_gyro_x"].__setitem__(3, 99.0)
+    )
+    return tmp_path
+
+
+def compute(folder, size=0.05):
+    return find_reproduction("nanobench").compute(Settings(size=size, data=folder))
+
+
+def test_the_table_of_made_up_flights(clone):
+    outcome = compute(clone, size=1.0)
+    rows = {row.name: row for row in outcome.rows}
+    assert len(rows) == 30
+    assert outcome.extra["gain"] == pytest.approx(GAIN, rel=5e-3)
+    assert [reason.split(":")[0] for reason in outcome.extra["refused"]] == ["B3_low", "B3_spun"]
+    naive = rows["naive: position after 0.5 s"]
+    assert naive.published == 0.2866
+    # Speeds from 0.5 to 1.0 m/s, and 1 m/s, that fall within 4 s
+    assert 0.1 < naive.low < naive.ours < naive.high < 0.5
+    given = rows["attitude given: position after 0.5 s"]
+    assert given.verdict == "unpublished"
+    assert given.ours < 0.01
+    assert rows["rates held: position after 0.5 s (published: physics)"].verdict == "better"
+    assert outcome.figure.axes[0].get_xlabel() == "prediction horizon, s"
+    again = compute(clone, size=1.0)
+    assert [(row.ours, row.low, row.high) for row in again.rows] == [
+        (row.ours, row.low, row.high) for row in outcome.rows
+    ]
+
+
+def test_data_without_flight_ends_in_one_clear_error(clone):
+    for path in (clone / "datasets" / "dataset").glob("*.csv"):
+        path.write_text("t,px\n0,0\n")
+    with pytest.raises(LogError, match="no flight of half a second .*none readable.* again"):
+        compute(clone)
+
+
+def test_the_table_agrees_with_the_text_of_the_paper():
+    """Section IV-B repeats some of the numbers, rounded."""
+    position, velocity, _, rates = (
+        {model: channels[k] for model, channels in nanobench.PUBLISHED.items()} for k in range(4)
+    )
+    assert round(position["physics"][2] / position["naive"][2], 1) == 2.2
+    assert round(1e3 * position["physics + residual"][1], 1) == 12.1
+    assert round(position["residual"][1] / position["physics + residual"][1], 1) == 3.7
+    assert round(position["LSTM"][1] / position["physics + residual"][1], 1) == 2.7
+    assert (round(1e3 * velocity["physics"][0]), round(velocity["physics"][2], 2)) == (51, 2.57)
+    assert min(position.values(), key=lambda errors: errors[3]) == position["physics + residual"]
+    assert (round(rates["LSTM"][2], 2), round(rates["naive"][2], 2)) == (5.15, 0.45)
+    assert rates["physics"] == rates["naive"]
