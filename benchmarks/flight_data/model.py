@@ -4,7 +4,8 @@ import numpy as np
 
 from bulletuav import load_airframe
 from bulletuav.reproduction.nanobench_flights import compute_rotor_commands as rotor_speed
-from bulletuav.vehicle import aerodynamics, wake
+from bulletuav.reproduction.wake_pairs import predict_wake
+from bulletuav.vehicle import aerodynamics
 from bulletuav.vehicle.parameters import parameter_rows
 
 AIRFRAME = load_airframe("cf2x")
@@ -22,17 +23,6 @@ __all__ = [
 ]
 
 
-def _wakes(
-    distance: np.ndarray, drop: np.ndarray, thrust: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return push and push over squared width, each of the shape of the arguments together."""
-    apart, below, lift = np.broadcast_arrays(distance, drop, thrust)
-    pairs = zip(apart.ravel(), below.ravel(), lift.ravel(), strict=True)
-    rows = [wake.downwash(d * d, z, t, ROW) for d, z, t in pairs]
-    push, tip = np.array(rows).reshape(-1, 2).T
-    return push.reshape(apart.shape), tip.reshape(apart.shape)
-
-
 def wake_force(distance: np.ndarray, drop: np.ndarray, thrust: np.ndarray) -> np.ndarray:
     """Return the push of a drone's wake on a drone below it.
 
@@ -44,7 +34,7 @@ def wake_force(distance: np.ndarray, drop: np.ndarray, thrust: np.ndarray) -> np
     Returns:
         The force downwards, in the unit of the thrust.
     """
-    return _wakes(distance, drop, thrust)[0]
+    return predict_wake(distance, drop, thrust, ROW)[0]
 
 
 def wake_moment(distance: np.ndarray, drop: np.ndarray, thrust: np.ndarray) -> np.ndarray:
@@ -52,7 +42,7 @@ def wake_moment(distance: np.ndarray, drop: np.ndarray, thrust: np.ndarray) -> n
 
     Its unit is that of the thrust, times m; see `wake_force`.
     """
-    moment: np.ndarray = AIRFRAME.arm**2 * _wakes(distance, drop, thrust)[1] * distance
+    moment: np.ndarray = AIRFRAME.arm**2 * predict_wake(distance, drop, thrust, ROW)[1] * distance
     return moment
 
 

@@ -31,6 +31,13 @@ def drop_copies(paths: Sequence[Path]) -> list[Path]:
     return first
 
 
+def pick_evenly(items: np.ndarray, count: int) -> np.ndarray:
+    """Return at most `count` items, equally spaced."""
+    if len(items) <= count:
+        return items
+    return np.asarray(items[np.linspace(0, len(items) - 1, count).round().astype(int)])
+
+
 def require_finite_log(name: str, values: np.ndarray, columns: Sequence[str]) -> None:
     """Check that all numbers of a log are finite.
 

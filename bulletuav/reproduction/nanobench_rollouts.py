@@ -15,6 +15,7 @@ from bulletuav.identification.rollout import (
     roll_out,
     simulate_rotors,
 )
+from bulletuav.reproduction.flight_series import pick_evenly
 from bulletuav.reproduction.nanobench_flights import (
     MIN_FLIGHT_COMMAND,
     MIN_FLIGHT_HEIGHT,
@@ -64,13 +65,6 @@ class FlightWindows:
 
     flight: NanobenchFlight
     starts: np.ndarray
-
-
-def pick_evenly(items: np.ndarray, count: int) -> np.ndarray:
-    """Return at most `count` items, equally spaced."""
-    if len(items) <= count:
-        return items
-    return np.asarray(items[np.linspace(0, len(items) - 1, count).round().astype(int)])
 
 
 def find_flown_windows(flight: NanobenchFlight, count: int) -> FlightWindows:

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from bulletuav import load_airframe
 from bulletuav.reproduction import find_reproduction
-from bulletuav.reproduction.flight_series import LogError
+from bulletuav.reproduction.flight_series import LogError, pick_evenly
 from bulletuav.reproduction.nanobench_flights import (
     MOTOR_COLUMNS,
     NANOBENCH_COLUMNS,
@@ -26,7 +26,6 @@ from bulletuav.reproduction.nanobench_rollouts import (
     compute_channel_errors,
     find_flown_windows,
     hold_rates,
-    pick_evenly,
     predict_constant,
     predict_windows,
 )

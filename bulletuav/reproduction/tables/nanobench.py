@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 
 from bulletuav.analysis.metrics.estimates import Estimate, mean_estimate
 from bulletuav.report.figures import blank_figure
-from bulletuav.reproduction.flight_series import LogError
+from bulletuav.reproduction.flight_series import LogError, pick_evenly
 from bulletuav.reproduction.nanobench_flights import (
     NANOBENCH_DT,
     NanobenchFlight,
@@ -26,7 +26,6 @@ from bulletuav.reproduction.nanobench_rollouts import (
     find_all_windows,
     find_flown_windows,
     hold_rates,
-    pick_evenly,
     predict_constant,
     predict_windows,
 )
