@@ -159,8 +159,12 @@ def is_large_drone(path: Path) -> bool:
     return path.name.startswith("cf1")
 
 
-def read_swarm_log(path: Path) -> SwarmLog:
+def read_swarm_log(path: Path, force_rows: int = FORCE_ROWS) -> SwarmLog:
     """Read one log.
+
+    Args:
+        path: The log.
+        force_rows: Number of rows over which the accelerometer is averaged.
 
     Raises:
         LogError: If it cannot be decoded, or columns or numbers are missing.
@@ -176,7 +180,7 @@ def read_swarm_log(path: Path) -> SwarmLog:
     quaternion = resample_columns(tick, decompress_quaternions(rows[SWARM_STATE + "quat"]), time)
     drone = "large" if is_large_drone(path) else "small"
     thrust = compute_stand_thrust(series[:, 11:15] / FULL_PWM, series[:, 15] / 1e3, drone)
-    force = uniform_filter1d(series[:, 4:7] / 1e3 / STANDARD_GRAVITY, FORCE_ROWS, axis=0)
+    force = uniform_filter1d(series[:, 4:7] / 1e3 / STANDARD_GRAVITY, force_rows, axis=0)
     return SwarmLog(
         time,
         position=series[:, 1:4] / 1e3,
