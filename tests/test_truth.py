@@ -461,6 +461,51 @@ def test_the_ground_effect_is_found_again(part, model, monkeypatch):
     assert max(ground.errors(found, share, model.ground_effect(found))) < 0.15
 
 
+def test_samples_near_touches_are_left_out_unless_they_are_asked_for(part, model, monkeypatch):
+    ground, swarm = part("ground"), part("neural_swarm")
+    count = 1000
+    height = np.where(np.arange(count) < 500, 0.3, 0.08)
+    position = np.stack([0 * height, 0 * height, height + 0.03], axis=1)
+    load = np.ones(count)
+    load[700] = 1.5
+    thrust, gap = np.full((count, 4), 33.0 / 4.0), np.zeros(count, dtype=bool)
+    attitude, still = np.tile(np.eye(3), (count, 1, 1)), np.zeros((count, 3))
+    log = swarm.Log(height, position, load, still, attitude, thrust, gap)
+    asked = []
+    monkeypatch.setattr(ground, "load", lambda path, **options: asked.append(options) or log)
+    _, share = ground.samples(["a"])
+    assert len(share) == 500 - 23
+    assert share.max() == pytest.approx(0.0)
+    _, share = ground.samples(["a"], force_rows=1, with_touches=True)
+    assert len(share) == 500
+    assert share.max() == pytest.approx(0.5)
+    assert asked == [{}, {"force_rows": 1}]
+
+
+def test_rates_are_likeliest_with_the_constants_that_made_them(arpl, monkeypatch):
+    monkeypatch.syspath_prepend(str(BENCHMARKS))
+    rates, rng = importlib.import_module("rates"), np.random.default_rng(3)
+    zero = np.zeros((300, 40, 3))
+    torque = zero + 1e-5 * rng.normal(size=(300, 1, 3))
+    start = rng.normal(scale=2.0, size=(300, 3))
+    block = np.repeat(np.arange(3), 100)
+    empty = np.zeros(300, dtype=int)
+    cut = arpl.Windows(start, start, torque, zero[..., :2], zero[..., :1] + 1.0, empty, block)
+    true = rates.with_constants(4.0, 0.065, 1.9e-5)
+    end = arpl.predict(true, cut, np.zeros((1, 3))) + rng.normal(scale=0.02, size=(300, 3))
+    cut = replace(cut, end=end)
+    costs = {
+        constants: rates.unlikelihood([cut], rates.with_constants(*constants))
+        for constants in ((4.0, 0.065, 1.9e-5), (3.0, 0.065, 1.9e-5), (4.0, 0.065, 1.7e-5))
+    }
+    assert min(costs, key=costs.get) == (4.0, 0.065, 1.9e-5)
+    monkeypatch.setattr(arpl, "windows", lambda logs, predictor, steps: (cut, cut))
+    squares, counts = rates.squares_of_blocks({}, true, 200)
+    assert counts.tolist() == [100, 100, 100]
+    assert squares.shape == (3, 2)
+    assert np.sqrt(squares.sum(axis=0) / 300) == pytest.approx(0.02, rel=0.15)
+
+
 # What was measured -------------------------------------------------------------------------------
 
 

@@ -6,7 +6,7 @@ accelerometer, gyroscope and motor commands at 1 kHz. No attitude, velocity or v
 
 import struct
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -83,6 +83,7 @@ class Windows:
         force: Horizontal specific force of the accelerometer (W, S, 2), m/s^2.
         spin: Sum of the rotor speeds over that at hover.
         log: Index of the log.
+        block: Number of the block of `BLOCK` seconds, over all flights.
     """
 
     start: np.ndarray
@@ -91,6 +92,7 @@ class Windows:
     force: np.ndarray
     spin: np.ndarray
     log: np.ndarray
+    block: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=int))
 
 
 def decode(name: str, content: bytes) -> np.ndarray:
@@ -158,7 +160,7 @@ def windows(
         steps: Rows of a window, a multiple of `COARSE`; there are two windows in that time.
     """
     halves: tuple[list[tuple[np.ndarray, ...]], list[tuple[np.ndarray, ...]]] = ([], [])
-    for name, first, last in FLIGHTS:
+    for flight, (name, first, last) in enumerate(FLIGHTS):
         log = logs[name]
         time = np.arange(first, last, DT)
         rates = resample(log.time, log.rates, time)
@@ -175,7 +177,8 @@ def windows(
                 for values in (torque, force, spin[:, None])
             ]
             index = np.array(list(logs).index(name))
-            halves[block % 2].append((rates[row], rates[end], *coarse, index))
+            number = np.array(100 * flight + block)
+            halves[block % 2].append((rates[row], rates[end], *coarse, index, number))
     return (_stacked(halves[0]), _stacked(halves[1]))
 
 

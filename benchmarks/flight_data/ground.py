@@ -44,18 +44,29 @@ def logs(folder: Path) -> list[Path]:
     return sorted(found)
 
 
-def samples(paths: Sequence[Path]) -> tuple[np.ndarray, np.ndarray]:
-    """Read logs: heights of the centre of mass, m, and shares by which thrust grows."""
+def samples(
+    paths: Sequence[Path], force_rows: int | None = None, with_touches: bool = False
+) -> tuple[np.ndarray, np.ndarray]:
+    """Read logs: heights of the centre of mass, m, and shares by which thrust grows.
+
+    Args:
+        paths: The logs.
+        force_rows: Rows over which the accelerometer is averaged; None for those of the reader.
+        with_touches: Whether samples near a touch of the ground are kept.
+    """
     heights, shares = [], []
+    averaging = {} if force_rows is None else {"force_rows": force_rows}
     for path in paths:
-        log = load(path)
+        log = load(path, **averaging)
         height, lift = log.position[:, 2] - BELOW, log.lift()
         flying = ~log.gap & (log.thrust.sum(axis=1) > LEAST_THRUST)
         mass = np.median((lift / log.load)[flying & (height > FREE)])
         # Jolts of a touch, and what is within a tenth of a second of them, are left out.
         jolt = np.abs(np.gradient(log.load)) > 0.06
         touched = np.convolve(jolt, np.ones(21), "same") > 0
-        its = flying & ~touched & (height > HEIGHTS[0]) & (height < HEIGHTS[-1])
+        its = flying & (height > HEIGHTS[0]) & (height < HEIGHTS[-1])
+        if not with_touches:
+            its &= ~touched
         heights.append(height[its])
         shares.append((mass * log.load / lift - 1.0)[its])
     return np.concatenate(heights), np.concatenate(shares)
