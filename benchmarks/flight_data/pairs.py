@@ -43,7 +43,7 @@ class Samples:
 
 def runs(folder: Path) -> list[tuple[Path, Path]]:
     """Return the pairs of logs of two unmodified Crazyflies in a clone, sorted."""
-    return wake_pairs.find_pairs(folder, wake_pairs.SMALL_PAIRS)
+    return wake_pairs.find_log_pairs(folder, wake_pairs.SMALL_PAIRS)
 
 
 def samples(pairs: Sequence[tuple[Path, Path]]) -> Samples:

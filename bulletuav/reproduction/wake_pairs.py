@@ -59,7 +59,7 @@ class LowerDrone:
     near: np.ndarray
 
 
-def find_pairs(folder: Path, experiments: Sequence[str]) -> list[tuple[Path, Path]]:
+def find_log_pairs(folder: Path, experiments: Sequence[str]) -> list[tuple[Path, Path]]:
     """Return the pairs of logs of some experiments in a clone of Neural-Swarm, sorted.
 
     Raises:

@@ -24,7 +24,7 @@ from bulletuav.reproduction.tables.downwash import ERRORS, compute_reduction
 from bulletuav.reproduction.wake_pairs import (
     DROP_RANGE,
     align_logs,
-    find_pairs,
+    find_log_pairs,
     fit_wake_share,
     measure_wake,
     predict_near_wake,
@@ -105,7 +105,7 @@ def test_the_test_stand_is_inverted_by_the_tests():
 
 
 def test_the_strength_of_a_wake_is_found_again(clone):
-    (paths, _) = find_pairs(clone, ("swap_ss",))
+    (paths, _) = find_log_pairs(clone, ("swap_ss",))
     first, second = (read_swarm_log(path) for path in paths)
     a, b = align_logs(first, second)
     lower = measure_wake(second, first, b, a)

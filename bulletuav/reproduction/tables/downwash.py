@@ -17,7 +17,7 @@ from bulletuav.reproduction.wake_pairs import (
     SMALL_PAIRS,
     LowerDrone,
     align_logs,
-    find_pairs,
+    find_log_pairs,
     fit_wake_share,
     measure_wake,
     predict_near_wake,
@@ -55,7 +55,7 @@ def _compute(settings: Settings) -> Outcome:
     counts: dict[str, int] = {}
     shown: list[LowerDrone] = []
     for k, (name, experiments) in enumerate(EXPERIMENTS.items()):
-        paths = find_pairs(settings.data, experiments)
+        paths = find_log_pairs(settings.data, experiments)
         fitted = _measure(paths[::2], settings, 0.5 * k)
         kept = _measure(paths[1::2], settings, 0.5 * k + 0.25)
         shown = shown or [one for pair in kept for one in pair]
