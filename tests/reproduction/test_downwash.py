@@ -196,6 +196,7 @@ def test_the_table_of_made_up_logs(clone):
         assert rows[f"{name}, strength fitted: {height}"].ours > 90.0
     row = rows[f"large above small: {force}"]
     assert row.verdict == "explained"
+    assert row.low is None, "one flight is held out"
     assert f"{shares['large above small']:.3f}" in row.why
     assert outcome.figure.axes[0].get_xlabel() == "horizontal distance, m"
 

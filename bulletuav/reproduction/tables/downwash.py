@@ -1,8 +1,8 @@
 """Errors that the model of the wake removes on flights of pairs of drones."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -156,13 +156,22 @@ def _compare(
     samples = compute_reduction(squares[chosen].sum(axis=1))
     low, high = np.quantile(samples, (TAIL, 1.0 - TAIL), axis=0)
     mean = compute_reduction(squares.sum(axis=0))
-    goal: Literal["higher"] = "higher"
     rows = []
     for k, (error, counterpart, published, tolerance) in enumerate(ERRORS):
         against = f" (published: {counterpart})" if counterpart else ""
-        ends = float(low[k]), float(high[k])
-        label = f"{name}: {error}{against}"
-        rows.append(Row(label, float(mean[k]), published, "%", *ends, tolerance, goal, why))
+        row_of_error = Row(
+            f"{name}: {error}{against}",
+            float(mean[k]),
+            published,
+            "%",
+            tolerance=tolerance,
+            goal="higher",
+            why=why,
+        )
+        # A single flight has no interval
+        if len(kept) > 1:
+            row_of_error = replace(row_of_error, low=float(low[k]), high=float(high[k]))
+        rows.append(row_of_error)
     return rows
 
 
