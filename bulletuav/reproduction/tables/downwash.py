@@ -11,7 +11,7 @@ from bulletuav.analysis.metrics.estimates import RESAMPLES, TAIL
 from bulletuav.report.figures import blank_figure
 from bulletuav.reproduction.flight_series import LogError, pick_evenly
 from bulletuav.reproduction.swarm_logs import SWARM_DT, is_large_drone, read_swarm_log
-from bulletuav.reproduction.table import Data, Outcome, Reproduction, Row, Settings
+from bulletuav.reproduction.table import Data, Reproduction, Row, Settings, TableOutcome
 from bulletuav.reproduction.wake_pairs import (
     MIXED_PAIRS,
     SMALL_PAIRS,
@@ -46,7 +46,7 @@ DROPS_SHOWN = ((0.15, 0.3), (0.3, 0.45), (0.45, 0.7))
 """Ranges of the distance below in the picture, m"""
 
 
-def _compute(settings: Settings) -> Outcome:
+def _compute(settings: Settings) -> TableOutcome:
     """Measure the wakes, compare the errors with and without the model, and draw them."""
     assert settings.data is not None  # the command checks it
     row = parameter_rows([load_airframe("cf2x")])[0]
@@ -88,7 +88,7 @@ def _compute(settings: Settings) -> Outcome:
         f"0.15 to 0.7 m below. Fitted strengths: {shares['small above small']:.3f} and "
         f"{shares['large above small']:.3f} instead of {row.wake_share:g}.",
     )
-    return Outcome(rows, _draw(rows, shown, row), notes, extra={"wake_share": shares})
+    return TableOutcome(rows, _draw(rows, shown, row), notes, extra={"wake_share": shares})
 
 
 def _measure(

@@ -10,7 +10,7 @@ from bulletuav.reproduction.downwash_networks import (
     predict_downwash,
     read_downwash_network,
 )
-from bulletuav.reproduction.table import Data, Outcome, Reproduction, Row, Settings
+from bulletuav.reproduction.table import Data, Reproduction, Row, Settings, TableOutcome
 from bulletuav.reproduction.wake_pairs import predict_wake
 from bulletuav.vehicle.airframe import STANDARD_GRAVITY
 from bulletuav.vehicle.airframes import load_airframe
@@ -36,7 +36,7 @@ DIRECTIONS = 72
 """Number of directions over which forces are averaged"""
 
 
-def _compute(settings: Settings) -> Outcome:
+def _compute(settings: Settings) -> TableOutcome:
     """Compute the forces of law and networks, compare and draw them."""
     assert settings.data is not None  # the command checks it
     folder = settings.data / NETWORK_FOLDER
@@ -103,7 +103,7 @@ def _compute(settings: Settings) -> Outcome:
         f"{_half_width(distances, ours[1]):.2f} m. Differences are largest there, and beyond 1.1 m "
         "below, where the networks of the repository contradict each other.",
     )
-    return Outcome(rows, figure, notes)
+    return TableOutcome(rows, figure, notes)
 
 
 def _half_width(distances: np.ndarray, force: np.ndarray) -> float:

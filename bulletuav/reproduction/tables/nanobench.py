@@ -29,7 +29,7 @@ from bulletuav.reproduction.nanobench_rollouts import (
     predict_constant,
     predict_windows,
 )
-from bulletuav.reproduction.table import Data, Outcome, Reproduction, Row, Settings
+from bulletuav.reproduction.table import Data, Reproduction, Row, Settings, TableOutcome
 from bulletuav.vehicle.airframe import Airframe
 from bulletuav.vehicle.airframes import load_airframe
 
@@ -85,7 +85,7 @@ TOLERANCE = 5e-5
 """Half a unit of the last published digit"""
 
 
-def _compute(settings: Settings) -> Outcome:
+def _compute(settings: Settings) -> TableOutcome:
     """Predict the flights, compare the errors, and draw them."""
     assert settings.data is not None  # the command checks it
     flights, refused = _read(settings)
@@ -115,7 +115,7 @@ def _compute(settings: Settings) -> Outcome:
         f"roll rate within 0.1 s, {explained[1]:.0%} for pitch.",
         f"Not usable: {len(refused)} flights.",
     )
-    return Outcome(
+    return TableOutcome(
         rows,
         _draw(naive, errors),
         notes,
