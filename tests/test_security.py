@@ -242,7 +242,7 @@ def test_entities_of_xml_neither_expand_without_end_nor_read_files(entities, tmp
 
 READS = re.compile(
     r"(?<!def )(?<!builder\.)\b(read_(?:json|toml|yaml|xml|file|schema|table)|parse_json|load|"
-    r"load_extension|loads|load_file|safe_open|parse|read_text|read_bytes|recv|recvfrom|feed|loadURDF|load_replay_buffer|"
+    r"load_extension|loads|load_file|safe_open|ZipFile|parse|read_text|read_bytes|recv|recvfrom|feed|loadURDF|load_replay_buffer|"
     r"eval|exec)\("
     r"|(?<!os)\.open\((?!'w')"
 )

@@ -26,7 +26,8 @@ INTRODUCTION = """# Reproduced tables
 
 Numbers that others published, and the same numbers of bulletuav. `bulletuav reproduce` lists the
 tables; `bulletuav reproduce NAME` computes one of them, and writes its numbers and its picture.
-Results are the same on every x86-64 processor. This page is generated from these results.
+Repeated calls give the same numbers; fits by least squares can differ between processors in their
+last digits. This page is generated from the results.
 
 - **within**: the published number lies in the 95 % interval of ours, or differs by no more than the
   digits of the published number or the error of reading its curve.

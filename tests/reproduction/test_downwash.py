@@ -191,7 +191,7 @@ def test_the_table_of_made_up_logs(clone):
         row = rows[f"{name}, strength fitted: {force}"]
         assert row.ours > 90.0
         assert row.published == 56.0
-        assert row.verdict == "better"
+        assert row.verdict == "explained"
         height = "height, wake fed forward (published: height of Li et al.)"
         assert rows[f"{name}, strength fitted: {height}"].ours > 90.0
     row = rows[f"large above small: {force}"]
