@@ -1,0 +1,269 @@
+"""Flight times of TOGT-Planner: planned here, and flown in `rigid_body`."""
+
+import tempfile
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
+from multiprocessing import get_context
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from bulletuav.report.figures import blank_figure
+from bulletuav.reproduction.table import Data, Outcome, Reproduction, Row, Settings
+from bulletuav.reproduction.time_optimal import MAX_ITERATIONS, PolynomialFlight, optimize_flight
+from bulletuav.reproduction.togt import (
+    TOGT_LIMITS,
+    TogtFlight,
+    fly_plan,
+    read_togt_track,
+    write_togt_urdf,
+)
+
+PIECES = (1, 3, 5)
+"""Numbers of polynomials from gate to gate, one plan after the other"""
+MAX_DEVIATION = 0.02
+"""Relative difference of flown and planned times that counts as none"""
+MISSING = 0.02
+"""Distance from an opening that counts as none, m: a step of the flight at 20 m/s"""
+
+
+COLUMNS = {"t", "p_x", "p_y", "p_z", "w_x", "w_y", "u_1", "u_2", "u_3", "u_4"}
+"""Columns of published trajectories that are read"""
+
+
+class PublishedTime(NamedTuple):
+    """A published flight time.
+
+    Attributes:
+        name: Its name here.
+        seconds: Time of the last line of the file, s.
+        file: File in the folder resources/trajectory.
+        pieces: Index of the plan here that it is compared with, in `PIECES`.
+    """
+
+    name: str
+    seconds: float
+    file: str
+    pieces: int
+
+
+class PublishedTrack(NamedTuple):
+    """A track with its published times.
+
+    Attributes:
+        name: Its name here.
+        file: File in the folder resources/racetrack.
+        times: Published times.
+    """
+
+    name: str
+    file: str
+    times: Sequence[PublishedTime]
+
+
+TRACKS = (
+    PublishedTrack(
+        "7 gates",
+        "race_uzh_7g_multiprisma.yaml",
+        (
+            PublishedTime("one polynomial from gate to gate", 8.216, "togt_traj.csv", 0),
+            PublishedTime("refined", 7.003, "togt_refined_traj.csv", 2),
+        ),
+    ),
+    PublishedTrack(
+        "19 points",
+        "race_uzh_19wp.yaml",
+        (
+            PublishedTime("five polynomials", 17.911, "aos_traj.csv", 2),
+            PublishedTime("refined", 17.597, "aos_refined_traj.csv", 2),
+        ),
+    ),
+    PublishedTrack(
+        "19 gates",
+        "race_uzh_19g.yaml",
+        (PublishedTime("five polynomials", 16.829, "aos_togt_traj.csv", 2),),
+    ),
+)
+"""Tracks, and times of the repository at the commit of the table"""
+
+
+def plan_track(path: Path, pieces: Sequence[int], iterations: int) -> list[PolynomialFlight]:
+    """Plan flights through a track with the limits of TOGT-Planner's drone.
+
+    Args:
+        path: File of the track.
+        pieces: Numbers of polynomials from gate to gate.
+        iterations: Maximum number of iterations.
+
+    Returns:
+        For each number of polynomials the fastest plan with at most that many.
+    """
+    track = read_togt_track(path)
+    flights = optimize_flight(track.openings, track.ends, TOGT_LIMITS, pieces, iterations)
+    best = [flights[0]]
+    for flight in flights[1:]:
+        best.append(min(best[-1], flight, key=lambda one: one.duration))
+    return best
+
+
+def _read_published(path: Path) -> dict[str, np.ndarray]:
+    """Return columns of a published trajectory."""
+    with path.open(encoding="utf-8") as lines:
+        names = lines.readline().strip().split(",")
+        table = np.loadtxt(lines, delimiter=",", ndmin=2)
+    missing = COLUMNS - set(names)
+    if missing or table.shape[1] != len(names) or not np.isfinite(table).all():
+        raise ValueError(f"{path} is no trajectory of TOGT-Planner: check out the commit again")
+    return dict(zip(names, table.T, strict=True))
+
+
+def _explain(published: dict[str, np.ndarray], seconds: float, plan: float) -> str:
+    """Explain why a plan is slower than a published one, by the limits of the published one."""
+    reasons = []
+    rate = float(np.hypot(published["w_x"], published["w_y"]).max())
+    if rate > 1.01 * TOGT_LIMITS.max_rate:
+        reasons.append(f"turns its thrust at up to {rate:.1f} rad/s, here 15 are allowed")
+    low = float(published["p_z"].min())
+    if low < TOGT_LIMITS.min_height - 0.01:
+        reasons.append(f"sinks to {low:.2f} m, here {TOGT_LIMITS.min_height:g} m are allowed")
+    thrusts = np.stack([published[f"u_{r}"] for r in range(1, 5)])
+    if thrusts.min() < TOGT_LIMITS.min_thrust - 0.01:
+        reasons.append(f"uses thrusts down to {max(thrusts.min(), 0.0):.2f} N, here 0.1 N")
+    if not reasons:
+        reasons.append("keeps the limits of the plan here, which is another local optimum")
+    slower = 100 * (plan / seconds - 1)
+    return f"{slower:.1f} % slower: the published flight {', '.join(reasons)}"
+
+
+def _compute(settings: Settings) -> Outcome:
+    """Plan all tracks, fly the plans, and compare."""
+    assert settings.data is not None
+    tracks = TRACKS[: settings.count(len(TRACKS))]
+    iterations = settings.count(MAX_ITERATIONS, 2)
+    pieces = PIECES if settings.size > 0.1 else PIECES[:1]
+    plan = partial(plan_track, pieces=pieces, iterations=iterations)
+    files = [settings.data / "resources" / "racetrack" / track.file for track in tracks]
+    plans: list[list[PolynomialFlight]] = []
+    with ProcessPoolExecutor(settings.workers, mp_context=get_context("spawn")) as pool:
+        for found in pool.map(plan, files):
+            plans.append(found)
+            settings.progress(0.8 * len(plans) / len(tracks))
+    rows: list[Row] = []
+    flown: dict[str, TogtFlight] = {}
+    extra: dict[str, object] = {}
+    figure = blank_figure(5 * len(tracks), 5)
+    with tempfile.TemporaryDirectory() as place:
+        urdf = Path(place) / "togt.urdf"
+        write_togt_urdf(urdf)
+        for k, (track, file) in enumerate(zip(tracks, files, strict=True)):
+            course = read_togt_track(file)
+            axes = figure.add_subplot(1, len(tracks), k + 1)
+            axes.set(title=track.name, xlabel="x (m)", ylabel="y (m)", aspect="equal")
+            for time in track.times:
+                number = min(time.pieces, len(pieces) - 1)
+                chosen = plans[k][number]
+                key = f"{track.name}, {number}"
+                if key not in flown:
+                    flown[key] = fly_plan(chosen, course, urdf)
+                    times = np.linspace(0.0, chosen.duration, 1000)
+                    path = chosen.motion(times)[:, 0]
+                    axes.plot(path[:, 0], path[:, 1], label=f"plan, {chosen.duration:.2f} s")
+                    place_at = flown[key].position
+                    label = f"flown, {flown[key].time:.2f} s"
+                    axes.plot(place_at[:, 0], place_at[:, 1], "--", linewidth=1, label=label)
+                flight = flown[key]
+                there = settings.data / "resources" / "trajectory" / time.file
+                published = _read_published(there)
+                axes.plot(
+                    published["p_x"],
+                    published["p_y"],
+                    ":",
+                    linewidth=1,
+                    label=f"published, {time.seconds:.2f} s",
+                )
+                name = f"{track.name}, {time.name}"
+                why = _explain(published, time.seconds, chosen.duration)
+                if iterations < MAX_ITERATIONS:  # a plan that is not optimised explains nothing
+                    why = ""
+                rows.append(
+                    Row(
+                        f"{name}: planned",
+                        chosen.duration,
+                        time.seconds,
+                        "s",
+                        tolerance=0.0005,
+                        goal="lower",
+                        why=why,
+                    )
+                )
+                rows.append(
+                    Row(
+                        f"{name}: flown",
+                        flight.time,
+                        time.seconds,
+                        "s",
+                        tolerance=0.0005,
+                        goal="lower",
+                        why=why,
+                    )
+                )
+                rows.append(
+                    Row(
+                        f"{name}: flown over planned",
+                        flight.time / chosen.duration,
+                        1.0,
+                        tolerance=MAX_DEVIATION,
+                    )
+                )
+                rows.append(
+                    Row(
+                        f"{name}: largest distance from an opening",
+                        float(flight.excess.max()),
+                        0.0,
+                        "m",
+                        tolerance=MISSING,
+                    )
+                )
+                extra[name] = {
+                    "largest distance from the plan, m": flight.error,
+                    "largest speed, m/s": float(flight.speed.max()),
+                }
+            centres = np.array([opening.centre for opening in course.openings])
+            axes.plot(centres[:, 0], centres[:, 1], "k+", markersize=8, label="gates")
+            axes.legend(fontsize=7, loc="upper center", bbox_to_anchor=(0.5, -0.15), ncols=2)
+            extra[f"{track.name}: planned by {pieces} polynomials, s"] = [
+                plan.duration for plan in plans[k]
+            ]
+            settings.progress(0.8 + 0.2 * (k + 1) / len(tracks))
+    notes = (
+        "Published times are those of the last lines of the files in resources/trajectory.",
+        "Plans are minimum-snap polynomials whose junctions and durations are optimised; limits "
+        "are those of TOGT-Planner's parameters: 0.1 to 6.879 N a rotor, 15 rad/s, 0.3 m.",
+        "Flights are steered by body rates and thrust at 1,000 Hz; rotors have no lag, and there "
+        "is no drag, as in the published plans. They end within 5 cm and 5 cm/s of the end.",
+    )
+    return Outcome(rows, figure, notes, extra)
+
+
+REPRODUCTION = Reproduction(
+    title="Time-optimal flights through gates of TOGT-Planner",
+    publication=(
+        "C. Qin, M. Michet, J. Chen, H. Liu, Time-optimal gate-traversing planner for autonomous "
+        "drone racing, ICRA 2024"
+    ),
+    address="https://github.com/FSC-Lab/TOGT-Planner",
+    about=(
+        "Plans through its three tracks for its drone of 0.85 kg, and flights along the plans in "
+        "rigid_body, next to the times of its planner and of its refinement."
+    ),
+    minutes=15.0,
+    compute=_compute,
+    data=Data(
+        repository="https://github.com/FSC-Lab/TOGT-Planner",
+        commit="6707d3a1d06e4bd33d4aaa5e6f9fa02497ee90c5",
+        licence="MIT",
+        contains="resources/racetrack/race_uzh_7g_multiprisma.yaml",
+    ),
+)
