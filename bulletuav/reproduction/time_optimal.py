@@ -355,7 +355,7 @@ class _Problem:
         powers = durations[own, None] ** -np.arange(float(MOTION))
         basis = self.basis[at] * powers[..., None]
         by_coefficient = np.einsum("stkx,skd->stxd", slope, basis)
-        table = by_coefficient.reshape(len(active), -1, TERMS)
+        table = by_coefficient.reshape(len(active), 12, TERMS)
         junction = (table @ of_junctions[own]).reshape(len(active), 4, 3, inner)
         wide = table @ of_durations[own]
         wide = wide.reshape(len(active), 4, 3, pieces, 3)

@@ -68,7 +68,7 @@ def _compute(settings: Settings) -> Outcome:
                 "m",
                 tolerance=MAX_DISTANCE,
                 # A flight that leaves further than its own noise is not explained by it
-                why=why if 0.5 * furthest < own else "",
+                why=why if MAX_DISTANCE < furthest < 2.0 * own else "",
             )
         )
         rows.append(
@@ -104,10 +104,8 @@ def _compute(settings: Settings) -> Outcome:
         axes.set_xlabel("time (s)")
     for axes in figure.axes[::4]:
         axes.set_ylabel("distance (m)")
-    figure.legend(
-        *figure.axes[0].get_legend_handles_labels(), loc="lower center", ncols=3, fontsize=8
-    )
-    figure.subplots_adjust(bottom=0.16, hspace=0.3)
+    lines = figure.axes[0].get_legend_handles_labels()
+    figure.legend(*lines, loc="outside lower center", ncols=3, fontsize=8)
     plain = {TITLES[name]: round(float(one.max()), 6) for name, one in apart["plain"].items()}
     notes = (
         "Distances are those of the farthest drone at any time; the dashed line is 1 cm.",
@@ -138,7 +136,7 @@ REPRODUCTION = Reproduction(
         "environment, run in a subprocess of the same Python; the same flights follow here with "
         "its constants. Published are the trajectories that its code computes."
     ),
-    minutes=3.0,
+    minutes=1.0,
     compute=_compute,
     data=Data(
         repository="https://github.com/learnsyslab/gym-pybullet-drones",
