@@ -77,7 +77,9 @@ class TogtFlight(NamedTuple):
     """A flight along a plan.
 
     Attributes:
-        time: Time from the start until the drone arrives, or until the flight is given up, s.
+        time: Duration of the plan, and the delay with which the drone arrives near the end, or at
+            least the time until it is given up, s. Plans arrive softly: the last centimetres do
+            not count.
         excess: (G,) distance from each opening, m.
         error: Largest distance from the plan, m.
         position: (T, 3) positions, m.
@@ -253,11 +255,12 @@ def fly_plan(plan: PolynomialFlight, track: TogtTrack, urdf: Path) -> TogtFlight
         airspace.command(0, SetpointLevel.RATES, (*target, thrust))
         airspace.step()
     airspace.close()
-    away = np.sqrt(((position - track.ends[1]) ** 2).sum(axis=1))
     planned = np.cumsum(plan.durations)[plan.gates]
-    arrived = (away < ARRIVAL) & (speed < ARRIVAL_SPEED)
-    arrived &= np.arange(count) / FLIGHT_HZ > planned[-1]
-    time = (int(np.argmax(arrived)) if arrived.any() else count) / FLIGHT_HZ
+    first = round(float(planned[-1]) * FLIGHT_HZ)
+    arrived = _find_arrival(position, speed, track.ends[1], first)
+    plan_speed = np.sqrt((motion[:, 1] ** 2).sum(axis=1))
+    due = _find_arrival(motion[:, 0], plan_speed, track.ends[1], first)
+    time = plan.duration + (arrived - due) / FLIGHT_HZ
     window = round(PASSAGE_WINDOW * FLIGHT_HZ)
     excess = []
     for opening, moment in zip(track.openings, planned, strict=True):
@@ -266,3 +269,11 @@ def fly_plan(plan: PolynomialFlight, track: TogtTrack, urdf: Path) -> TogtFlight
         excess.append(min(float(opening.excess(place).max()) for place in near))
     error = float(np.sqrt(((position - motion[:, 0]) ** 2).sum(axis=1)).max())
     return TogtFlight(time, np.array(excess), error, position, speed)
+
+
+def _find_arrival(position: np.ndarray, speed: np.ndarray, end: np.ndarray, first: int) -> int:
+    """Return the first step from `first` near the end and slow; the number of steps without one."""
+    away = np.sqrt(((position - end) ** 2).sum(axis=1))
+    near = (away < ARRIVAL) & (speed < ARRIVAL_SPEED)
+    near[:first] = False
+    return int(np.argmax(near)) if near.any() else len(near)

@@ -242,7 +242,7 @@ def _compute(settings: Settings) -> Outcome:
         "Plans are minimum-snap polynomials whose junctions and durations are optimised; limits "
         "are those of TOGT-Planner's parameters: 0.1 to 6.879 N a rotor, 15 rad/s, 0.3 m.",
         "Flights are steered by body rates and thrust at 1,000 Hz; rotors have no lag, and there "
-        "is no drag, as in the published plans. They end within 5 cm and 5 cm/s of the end.",
+        "is no drag, as in the published plans. Their delay is that at 5 cm and 5 cm/s from rest.",
     )
     return Outcome(rows, figure, notes, extra)
 
