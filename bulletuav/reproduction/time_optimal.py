@@ -93,7 +93,8 @@ class Opening(NamedTuple):
         offset = place - self.centre
         size = math.sqrt(float(offset @ offset))
         outside = np.append(self.normals @ offset - self.offsets, size - self.radius)
-        return np.maximum(outside, 0.0)
+        excess: np.ndarray = np.maximum(outside, 0.0)
+        return excess
 
     def slope(self, place: np.ndarray) -> np.ndarray:
         """Return the derivatives (E + 1, 3) of `excess` by the place."""
