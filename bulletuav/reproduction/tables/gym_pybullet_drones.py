@@ -14,7 +14,7 @@ from bulletuav.reproduction.gym_pybullet_drones import (
     read_peer_airframe,
 )
 from bulletuav.reproduction.gym_pybullet_drones_child import ACTIONS, EXAMPLES
-from bulletuav.reproduction.table import Data, Outcome, Reproduction, Row, Settings
+from bulletuav.reproduction.table import Data, Reproduction, Row, Settings, TableOutcome
 
 SECONDS = 5
 """Duration of the flights, s"""
@@ -36,7 +36,7 @@ def distances(one: dict[str, np.ndarray], other: dict[str, np.ndarray]) -> dict[
     }
 
 
-def _compute(settings: Settings) -> Outcome:
+def _compute(settings: Settings) -> TableOutcome:
     """Fly both, and compare."""
     assert settings.data is not None
     seconds = settings.count(SECONDS)
@@ -121,7 +121,7 @@ def _compute(settings: Settings) -> Outcome:
         TITLES[name]: float(one.max()) for name, one in moved.items()
     }
     settings.progress(1.0)
-    return Outcome(rows, figure, notes, extra)
+    return TableOutcome(rows, figure, notes, extra)
 
 
 REPRODUCTION = Reproduction(

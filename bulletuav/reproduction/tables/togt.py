@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from bulletuav.report.figures import blank_figure
-from bulletuav.reproduction.table import Data, Outcome, Reproduction, Row, Settings
+from bulletuav.reproduction.table import Data, Reproduction, Row, Settings, TableOutcome
 from bulletuav.reproduction.time_optimal import MAX_ITERATIONS, PolynomialFlight, optimize_flight
 from bulletuav.reproduction.togt import (
     TOGT_LIMITS,
@@ -137,7 +137,7 @@ def _explain(published: dict[str, np.ndarray], seconds: float, plan: float) -> s
     return f"{slower:.1f} % slower: the published flight {', '.join(reasons)}"
 
 
-def _compute(settings: Settings) -> Outcome:
+def _compute(settings: Settings) -> TableOutcome:
     """Plan all tracks, fly the plans, and compare."""
     assert settings.data is not None
     tracks = TRACKS[: settings.count(len(TRACKS))]
@@ -244,7 +244,7 @@ def _compute(settings: Settings) -> Outcome:
         "Flights are steered by body rates and thrust at 1,000 Hz; rotors have no lag, and there "
         "is no drag, as in the published plans. Their delay is that at 5 cm and 5 cm/s from rest.",
     )
-    return Outcome(rows, figure, notes, extra)
+    return TableOutcome(rows, figure, notes, extra)
 
 
 REPRODUCTION = Reproduction(
@@ -258,8 +258,9 @@ REPRODUCTION = Reproduction(
         "Plans through its three tracks for its drone of 0.85 kg, and flights along the plans in "
         "rigid_body, next to the times of its planner and of its refinement."
     ),
-    minutes=15.0,
+    minutes=3.0,
     compute=_compute,
+    is_parallel=True,
     data=Data(
         repository="https://github.com/FSC-Lab/TOGT-Planner",
         commit="6707d3a1d06e4bd33d4aaa5e6f9fa02497ee90c5",
