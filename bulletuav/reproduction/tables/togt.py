@@ -153,7 +153,7 @@ def _compute(settings: Settings) -> TableOutcome:
     rows: list[Row] = []
     flown: dict[str, TogtFlight] = {}
     extra: dict[str, object] = {}
-    figure = blank_figure(5 * len(tracks), 5)
+    figure = blank_figure(5 * len(tracks), 6)
     with tempfile.TemporaryDirectory() as place:
         urdf = Path(place) / "togt.urdf"
         write_togt_urdf(urdf)
