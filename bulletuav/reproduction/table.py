@@ -17,7 +17,7 @@ from bulletuav.version import __version__
 
 MIN_DIGITS, MAX_DIGITS = 4, 15
 """Minimum and maximum number of significant digits of a printed number"""
-Verdict = Literal["within", "better", "explained", "outside", "unpublished"]
+Verdict = Literal["within", "better", "explained", "outside", "not comparable", "unpublished"]
 VERDICTS: tuple[Verdict, ...] = get_args(Verdict)
 
 
@@ -36,6 +36,8 @@ class Row:
             reading a curve.
         goal: "equal", or the direction in which numbers are better: "lower" or "higher".
         why: Explanation of a number that is neither within nor better.
+        is_comparable: False if the published number is of another quantity, or of a method that
+            knows more or less; it then only stands next to ours.
     """
 
     name: str
@@ -47,6 +49,7 @@ class Row:
     tolerance: float = 0.0
     goal: Literal["equal", "lower", "higher"] = "equal"
     why: str = ""
+    is_comparable: bool = True
 
     @property
     def verdict(self) -> Verdict:
@@ -55,10 +58,12 @@ class Row:
         Returns:
             "within" if the published number is in the interval, widened by the tolerance; "better"
             if ours is better than that; otherwise "explained" with an explanation, or "outside".
-            "unpublished" without a published number.
+            "not comparable" and "unpublished" without a number to compare with.
         """
         if self.published is None:
             return "unpublished"
+        if not self.is_comparable:
+            return "not comparable"
         low = self.ours if self.low is None else self.low
         high = self.ours if self.high is None else self.high
         if low - self.tolerance <= self.published <= high + self.tolerance:
@@ -236,7 +241,7 @@ def format_cells(row: Row) -> list[str]:
     Numbers have four significant digits, or as many as it takes to see a difference.
     """
     digits = MIN_DIGITS
-    while row.verdict not in ("within", "unpublished") and digits < MAX_DIGITS:
+    while row.verdict in ("better", "explained", "outside") and digits < MAX_DIGITS:
         if f"{row.published:.{digits}g}" != f"{row.ours:.{digits}g}":
             break
         digits += 1

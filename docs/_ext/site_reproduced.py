@@ -34,6 +34,8 @@ last digits. This page is generated from the results.
 - **better**: ours is better than that.
 - **explained**: ours is worse or different, and the reason is stated.
 - **outside**: ours is worse or different, and the reason is unknown.
+- **not comparable**: the published number is of another quantity, or of a method that knows more or
+  less.
 - **unpublished**: there is no published number to compare with."""
 
 

@@ -55,6 +55,8 @@ def make_table(**changes):
         (Row("error", 0.8, 1.0, goal="lower", why="not needed"), "better"),
         (Row("equal has no better", 0.8, 1.0), "outside"),
         (Row("first", 0.8), "unpublished"),
+        (Row("force", 0.8, 1.0, goal="lower", is_comparable=False), "not comparable"),
+        (Row("force", 1.0, 1.0, is_comparable=False), "not comparable"),
         (Row("broken", float("nan"), 1.0, goal="lower"), "outside"),
     ],
 )
