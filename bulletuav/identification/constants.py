@@ -136,6 +136,8 @@ GROUND = "ground_effect"
 """Group of the ground effect, which can only be fitted from flights near the ground"""
 BATTERY = "battery"
 """Name in --fit of the battery's resistance and capacity, which are fitted separately"""
+MOTOR_GAINS = "motor_gains"
+"""Name in --fit of the relative thrust gains of all motors, see `motor_gains`; only on request"""
 NOT_FITTED_BY_DEFAULT = ("inertia_z", "battery_voltage")
 """Constants that are fitted only on request. Yaw motion determines only the ratio of torque_ratio
 to inertia_z, and the voltage constant scales the thrust.
@@ -149,6 +151,7 @@ def choose_constants(
 
     Args:
         names: Names of constants and groups; empty for all that logs of this kind can determine.
+            `BATTERY` and `MOTOR_GAINS` are accepted, and add no constants.
         has_other: Whether the logs contain the position of a drone above.
         has_pwm: Whether the logs contain motor commands and voltages.
         measured: Whether rotor speeds were measured, so that the motors' lag has no effect.
@@ -171,8 +174,8 @@ def choose_constants(
     chosen = []
     for name in names:
         found = [constant for constant in CONSTANTS if name in (constant.name, constant.group)]
-        if not found and name != BATTERY:
-            choices = (*BY_NAME, *GROUPS, BATTERY)
+        if not found and name not in (BATTERY, MOTOR_GAINS):
+            choices = (*BY_NAME, *GROUPS, BATTERY, MOTOR_GAINS)
             raise ValueError(
                 f"--fit {name}: there is no such constant; {suggest_names(name, choices)}"
             )

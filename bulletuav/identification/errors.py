@@ -8,6 +8,7 @@ from bulletuav.geometry.quaternions import multiply_quaternions
 from bulletuav.geometry.rotation import exp_map
 from bulletuav.identification.constants import Constant
 from bulletuav.identification.flight import LoggedFlight
+from bulletuav.identification.motor_gains import motor_speed_ratios
 from bulletuav.identification.rollout import STATE_SIZE, Legs, roll_out, simulate_rotors
 from bulletuav.vehicle.airframe import STANDARD_GRAVITY, Airframe
 from bulletuav.vehicle.parameters import parameter_rows
@@ -102,7 +103,7 @@ def _make_inputs(
     """Simulate the rotors of an airframe under the commands of a log, or read their speeds."""
     delay = DELAY_UNIT * log_parameters[0]
     read = flight.measured_speeds if flight.measured else flight.commands
-    command = read(airframe, delay)
+    command = read(airframe, delay) * motor_speed_ratios(airframe)
     other = len(flight.track.other) > 0
     parameters = parameter_rows([airframe] * (1 + other))[None]
     gain = 1.0 + GAIN_UNIT * log_parameters[6]

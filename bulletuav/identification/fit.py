@@ -26,6 +26,7 @@ from bulletuav.identification.errors import (
 )
 from bulletuav.identification.flight import LoggedFlight
 from bulletuav.identification.intervals import MAX_HALF_WIDTH, Information, quantile
+from bulletuav.identification.motor_gains import center_gains
 from bulletuav.identification.weights import Weights, whiten
 from bulletuav.vehicle.airframe import Airframe
 
@@ -243,7 +244,9 @@ class FitProblem:
     def make_fit(self, theta: np.ndarray) -> Fit:
         """Return the result for a parameter vector, with standard deviations."""
         known = self.information(theta)
-        deviation = np.sqrt(np.diag(known.covariance(np.arange(len(theta)))))
+        covariance = known.covariance(np.arange(len(theta)))
+        theta, covariance = center_gains(self.constants, theta, covariance)
+        deviation = np.sqrt(np.diag(covariance))
         airframe, log_parameters = self.unpack(theta)
         count = len(self.constants)
         return Fit(

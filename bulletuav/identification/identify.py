@@ -9,7 +9,13 @@ import numpy as np
 from bulletuav.errors import finite
 from bulletuav.identification.battery import BatteryFit, fit_battery
 from bulletuav.identification.checks import check_distinct_logs, check_log
-from bulletuav.identification.constants import BATTERY, GROUND, Constant, choose_constants
+from bulletuav.identification.constants import (
+    BATTERY,
+    GROUND,
+    MOTOR_GAINS,
+    Constant,
+    choose_constants,
+)
 from bulletuav.identification.errors import (
     DELAY_UNIT,
     LOG_PARAMETERS,
@@ -28,6 +34,12 @@ from bulletuav.identification.fitting import (
 from bulletuav.identification.flight import prepare_log
 from bulletuav.identification.formats import read_flight_log
 from bulletuav.identification.logs import OTHER, parse_map
+from bulletuav.identification.motor_gains import (
+    describe_missing_gains,
+    make_even,
+    make_gain_constants,
+    make_uneven,
+)
 from bulletuav.vehicle.airframe import Airframe
 from bulletuav.vehicle.airframes import MAX_MASS, load_airframe
 
@@ -135,7 +147,9 @@ def identify(
         logs: CSV files, see `bulletuav.identification.logs`, or other formats, see
             `bulletuav.identification.formats`.
         airframe: The airframe that was flown: a name, the path of a URDF, or the airframe.
-        fit: Names of constants or groups; empty for all that the logs determine.
+        fit: Names of constants or groups; empty for all that the logs determine. "motor_gains"
+            are the thrust gains of single motors, relative to their mean. They are among the
+            estimates and in the predictions, but not in the fitted airframe.
         columns: Mappings NAME=COLUMN[*FACTOR][+OFFSET] for columns with other names or units.
         mass: Mass in flight, kg; the airframe's own by default. Forces scale with it.
         window: Duration of the predicted flights, s.
@@ -167,6 +181,10 @@ def identify(
                 f"commands"
             )
     constants = choose_constants(fit, has_other, has_volts, measured)
+    start = drone
+    if MOTOR_GAINS in fit:
+        constants += make_gain_constants(len(drone.rotors))
+        start = make_uneven(drone)
     flights = []
     for k, log in enumerate(read):
         flights.append(prepare_log(log, drone, window, measured))
@@ -175,7 +193,7 @@ def identify(
     if not fit and count_low_windows(parts, drone) < MIN_LOW_WINDOWS:
         constants = [constant for constant in constants if constant.group != GROUND]
     free = np.array([name != "gain" or len(logs) > 1 for name in LOG_PARAMETERS])
-    found = StepwiseFit(parts, drone, free, bool(fit), progress).run(constants)
+    found = StepwiseFit(parts, start, free, bool(fit), progress).run(constants)
     fitted_airframe, note = _limit_yaw_inertia(
         _round_constants(found.airframe, found.constants), found.constants
     )
@@ -185,10 +203,14 @@ def identify(
         if battery is not None:
             fitted_airframe = battery.apply_to(fitted_airframe)
     predictions = _predictions(parts, kept, drone, fitted_airframe, free, len(logs) > 1, progress)
+    estimates = _make_estimates(constants, found, drone, fitted_airframe)
+    gains = [one.after for one in estimates if one.constant.group == MOTOR_GAINS]
+    if gains:
+        note = " ".join(filter(None, (note, describe_missing_gains(gains))))
     return Identification(
         before=drone,
-        airframe=fitted_airframe,
-        estimates=_make_estimates(constants, found, drone, fitted_airframe),
+        airframe=make_even(fitted_airframe),
+        estimates=estimates,
         fitted=predictions[0],
         kept=predictions[1],
         battery=battery,

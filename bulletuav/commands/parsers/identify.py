@@ -31,10 +31,10 @@ def _airframes() -> str:
 
 @DeferredHelp
 def _constants() -> str:
-    from bulletuav.identification.constants import BATTERY, CONSTANTS, GROUPS
+    from bulletuav.identification.constants import BATTERY, CONSTANTS, GROUPS, MOTOR_GAINS
 
     return (
-        f"groups ({', '.join((*GROUPS, BATTERY))}) or constants "
+        f"groups ({', '.join((*GROUPS, BATTERY, MOTOR_GAINS))}) or constants "
         f"({', '.join(constant.name for constant in CONSTANTS)}) (default: all identifiable)"
     )
 
