@@ -31,6 +31,12 @@ COLUMNS: tuple[tuple[str, JustifyMethod], ...] = (
     ("after", "right"),
     (f"{100 * LEVEL:.0f} % interval", "right"),
 )
+CLOCK_COLUMNS: tuple[tuple[str, JustifyMethod], ...] = (
+    ("log", "left"),
+    ("quantity", "left"),
+    ("delay", "right"),
+    (f"{100 * LEVEL:.0f} % interval", "right"),
+)
 MAX_LISTED = 20
 """Maximum number of unused columns that are printed for a log"""
 
@@ -42,6 +48,8 @@ def run(arguments: argparse.Namespace) -> None:
     if arguments.example is not None:
         if arguments.measured:
             raise ValueError("--measured has no effect with --example: the example has commands")
+        if arguments.clocks:
+            raise ValueError("--clocks has no effect with --example: the example has one clock")
         rows = fly_example(load_airframe(arguments.airframe), EXAMPLE_SECONDS, seed=0)
         print_files([write_example_log(arguments.example, add_sensor_noise(rows, seed=0))])
         return
@@ -56,6 +64,7 @@ def run(arguments: argparse.Namespace) -> None:
             mass=arguments.mass,
             window=WINDOW if arguments.window is None else arguments.window,
             measured=arguments.measured,
+            clocks=arguments.clocks,
             progress=lambda share: report(100 * share),
         )
     # Plot the prediction of the longest held-out flight
@@ -67,6 +76,8 @@ def run(arguments: argparse.Namespace) -> None:
     files = [write_urdf(result, out), *write_report(result, out), picture]
     # Constants, errors before and after, and where the files are
     print_table(_constants(result))
+    if result.clocks:
+        print_table(_clocks(result))
     print_table(_errors(result))
     for log in {one.part.flight.log.path: one.part.flight.log for one in _all(result)}.values():
         print(describe_unused(log))
@@ -102,6 +113,17 @@ def _constants(result: Identification) -> Table:
         interval = f"{row['low']:.4g} to {row['high']:.4g}" if row["told"] else "not identifiable"
         after = f"{row['after']:.5g}" if row["told"] else "unchanged"
         table.add_row(name, f"{row['before']:.5g}", after, interval)
+    return table
+
+
+def _clocks(result: Identification) -> Table:
+    """Return a table of the clock offsets of the fitted logs."""
+    table = Table(title="Delays behind the attitude, ms")
+    for heading, side in CLOCK_COLUMNS:
+        table.add_column(heading, justify=side)
+    for one in result.clocks:
+        delay, low, high = (f"{1e3 * time:.2f}" for time in (one.delay, one.low, one.high))
+        table.add_row(one.log, one.quantity, delay, f"{low} to {high}")
     return table
 
 

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bulletuav.identification.errors import make_legs
+from bulletuav.identification.errors import aligned_track, make_legs
 from bulletuav.identification.identify import Prediction
 
 MAX_PLOT_DURATION = 12.0
@@ -55,14 +55,17 @@ def make_curves(prediction: Prediction) -> list[Curve]:
     for label, field, column in PLOTTED_QUANTITIES:
         legs = guided if field == "translation" else free
         at = legs.start[:, None] + legs.stride * np.arange(1, legs.num_states + 1)
-        values = flight.track.velocity if field == "translation" else flight.track.rates
-        measured = values[at, column - 3]
-        errors = [
-            getattr(one, field)[..., column].reshape(at.shape)
-            for one in (prediction.before, prediction.after)
-        ]
+        name = "velocity" if field == "translation" else "rates"
+        measured, predicted = [], []
+        for errors, own in (
+            (prediction.before, prediction.log_parameters_before),
+            (prediction.after, prediction.log_parameters),
+        ):
+            values = getattr(aligned_track(flight, own), name)[at, column - 3]
+            measured.append(values)
+            predicted.append(values + getattr(errors, field)[..., column].reshape(at.shape))
         first = at[:, 0] * flight.dt < at[0, 0] * flight.dt + MAX_PLOT_DURATION
         time = flight.dt * at
-        shown = (time, measured, measured + errors[0], measured + errors[1])
+        shown = (time, measured[-1], *predicted)
         found.append(Curve(label, *(part[first] for part in shown)))
     return found

@@ -9,7 +9,7 @@ from bulletuav.geometry.rotation import exp_map
 from bulletuav.identification.constants import Constant
 from bulletuav.identification.flight import LoggedFlight
 from bulletuav.identification.motor_gains import motor_speed_ratios
-from bulletuav.identification.rollout import STATE_SIZE, Legs, roll_out, simulate_rotors
+from bulletuav.identification.rollout import STATE_SIZE, Legs, Track, roll_out, simulate_rotors
 from bulletuav.vehicle.airframe import STANDARD_GRAVITY, Airframe
 from bulletuav.vehicle.parameters import parameter_rows
 from bulletuav.vehicle.wakes import Wakes
@@ -23,13 +23,26 @@ TORQUE_BIAS_UNIT = 0.01
 TILT_UNIT = 0.01
 """Unit of the tilt, rad"""
 DELAY_UNIT = 0.01
-"""Unit of the command delay, s"""
+"""Unit of delays, s"""
 GAIN_UNIT = 0.01
 """Unit of the thrust gain"""
-LOG_PARAMETERS = ("delay", "tilt_x", "tilt_y", "twist_x", "twist_y", "twist_z", "gain")
+LOG_PARAMETERS = (
+    "delay",
+    "tilt_x",
+    "tilt_y",
+    "twist_x",
+    "twist_y",
+    "twist_z",
+    "gain",
+    "position_delay",
+    "velocity_delay",
+)
 """Nuisance parameters that are fitted for each log: the delay of commands, the tilt of the measured
-body against the drone's body, the torque bias of an asymmetric drone, and the thrust gain
+body against the drone's body, the torque bias of an asymmetric drone, the thrust gain, and on
+request the delays of positions and velocities behind the attitude
 """
+CLOCKS = ("position_delay", "velocity_delay")
+"""Parameters that are fitted on request only"""
 LOG_PARAMETER_STD = 5.0
 """Prior standard deviation of the per-log parameters, in their units"""
 NUM_LOG_PARAMETERS = len(LOG_PARAMETERS)
@@ -85,7 +98,7 @@ class _RotorInputs:
         speed: Rotor speeds, (n, R), rad/s.
         parameters: Rows of `PARAMETERS`, (1, N).
         hover_speed: Rotor speed of the other drone, rad/s.
-        log_parameters: Per-log parameters, (7,), see `LOG_PARAMETERS`.
+        log_parameters: Per-log parameters, (9,), see `LOG_PARAMETERS`.
         torque_bias: Torque of an asymmetric drone, body axes, N m.
     """
 
@@ -120,12 +133,12 @@ def _make_inputs(
     )
 
 
-def _predict(flight: LoggedFlight, legs: Legs, inputs: _RotorInputs) -> np.ndarray:
+def _predict(flight: LoggedFlight, track: Track, legs: Legs, inputs: _RotorInputs) -> np.ndarray:
     """Return the predicted states (L, num_states, 13) of the legs."""
     states = np.empty((len(legs.start), legs.num_states, STATE_SIZE))
     roll_out(
         legs,
-        flight.track,
+        track,
         inputs.command,
         inputs.speed,
         tilt_quaternion(inputs.log_parameters),
@@ -140,28 +153,32 @@ def _predict(flight: LoggedFlight, legs: Legs, inputs: _RotorInputs) -> np.ndarr
     return states
 
 
+def aligned_track(flight: LoggedFlight, log_parameters: np.ndarray) -> Track:
+    """Return the measurements of a flight on the attitude's clock; see `LOG_PARAMETERS`."""
+    return flight.align_track(DELAY_UNIT * log_parameters[7], DELAY_UNIT * log_parameters[8])
+
+
 def tilt_quaternion(log_parameters: np.ndarray) -> tuple[float, float, float, float]:
     """Return the quaternion from the drone's body to the body whose attitude was measured."""
     return exp_map((TILT_UNIT * log_parameters[1], TILT_UNIT * log_parameters[2], 0.0))
 
 
 def compute_differences(
-    flight: LoggedFlight, legs: Legs, states: np.ndarray, log_parameters: np.ndarray
+    track: Track, legs: Legs, states: np.ndarray, log_parameters: np.ndarray
 ) -> np.ndarray:
     """Return predicted states minus measured states.
 
     Args:
-        flight: The flight.
+        track: The measurements.
         legs: The L legs that were predicted.
         states: Predicted states, (L, num_states, 13).
-        log_parameters: Per-log parameters, (7,).
+        log_parameters: Per-log parameters, (9,).
 
     Returns:
         Differences of position, velocity, attitude (rotation vector in body axes) and body rates,
         (L, num_states, 12).
     """
     at = legs.start[:, None] + legs.stride * np.arange(1, legs.num_states + 1)
-    track = flight.track
     measured = multiply_quaternions(track.quaternion[at], np.array(tilt_quaternion(log_parameters)))
     off = multiply_quaternions(conjugate(measured), states[..., 3:7])
     # Twice the vector part is the rotation vector of a small rotation; the sign selects the
@@ -193,17 +210,18 @@ def compute_errors(
         flight: The flight.
         windows: Indices of its windows, (K,).
         airframe: The airframe to simulate.
-        log_parameters: Per-log parameters, (7,).
+        log_parameters: Per-log parameters, (9,).
 
     Returns:
         The errors.
     """
     guided, free = make_legs(flight, windows)
     inputs = _make_inputs(flight, airframe, log_parameters)
-    translation = compute_differences(
-        flight, guided, _predict(flight, guided, inputs), log_parameters
+    track = aligned_track(flight, log_parameters)
+    translation, rotation = (
+        compute_differences(track, legs, _predict(flight, track, legs, inputs), log_parameters)
+        for legs in (guided, free)
     )
-    rotation = compute_differences(flight, free, _predict(flight, free, inputs), log_parameters)
     return PredictionErrors(translation[..., :6], rotation[..., 6:].reshape(len(windows), -1, 6))
 
 
@@ -229,5 +247,5 @@ def compute_naive_errors(flight: LoggedFlight, windows: np.ndarray) -> Predictio
             ],
             axis=-1,
         )
-        found.append(compute_differences(flight, legs, states, np.zeros(NUM_LOG_PARAMETERS)))
+        found.append(compute_differences(flight.track, legs, states, np.zeros(NUM_LOG_PARAMETERS)))
     return PredictionErrors(found[0][..., :6], found[1][..., 6:].reshape(len(windows), -1, 6))

@@ -68,7 +68,7 @@ class Fit:
         theta: Fitted parameters of the constants, (P,).
         deviation: Standard deviations of the parameters, (P,).
         quantile: Half width of the intervals, in standard deviations.
-        log_parameters: Per-log parameters, (L, 7).
+        log_parameters: Per-log parameters, (L, 9).
         log_parameter_deviation: Standard deviations of the free per-log parameters, (L, F).
     """
 
@@ -102,7 +102,7 @@ class FitProblem:
             parts: The L parts of flights to fit.
             airframe: The airframe with the initial values.
             constants: The constants to fit; empty to fit the per-log parameters only.
-            free: Mask of the per-log parameters to fit, (7,) bool.
+            free: Mask of the per-log parameters to fit, (9,) bool.
             progress: Callback that receives the number of evaluations.
         """
         self.parts = parts
@@ -123,7 +123,7 @@ class FitProblem:
         return theta[len(self.constants) :].reshape(len(self.parts), -1)
 
     def unpack(self, theta: np.ndarray) -> tuple[Airframe, np.ndarray]:
-        """Return the airframe and the per-log parameters (L, 7) of a parameter vector."""
+        """Return the airframe and the per-log parameters (L, 9) of a parameter vector."""
         log_parameters = np.zeros((len(self.parts), NUM_LOG_PARAMETERS))
         log_parameters[:, self.free] = self.log_part(theta)
         count = len(self.constants)

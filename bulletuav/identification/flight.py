@@ -4,6 +4,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from bulletuav.compiled.kernel import kernel
 from bulletuav.identification.logs import OTHER, POSITION, QUATERNION, RATES, VELOCITY, Log
@@ -65,6 +66,36 @@ class LoggedFlight:
         """Times of the samples, (n,), s."""
         times: np.ndarray = self.log.time[0] + self.dt * np.arange(len(self.track.position))
         return times
+
+    def align_track(self, position_delay: float, velocity_delay: float) -> Track:
+        """Return the measurements with positions and velocities shifted to the attitude's clock.
+
+        Args:
+            position_delay: Delay of positions, including those of another drone, behind the
+                attitude, s.
+            velocity_delay: Delay of logged velocities, s; ignored if the velocity is computed from
+                the position, whose delay it then has.
+
+        Returns:
+            The measurements, interpolated by cubic splines and constant beyond the ends of the log;
+            `track` itself if nothing is delayed.
+        """
+        if VELOCITY[0] not in self.log:
+            velocity_delay = position_delay
+        track = self.track
+        if position_delay:
+            track = track._replace(position=self._shift(track.position, position_delay))
+            if len(track.other):
+                track = track._replace(other=self._shift(track.other, position_delay))
+        if velocity_delay:
+            track = track._replace(velocity=self._shift(track.velocity, velocity_delay))
+        return track
+
+    def _shift(self, values: np.ndarray, delay: float) -> np.ndarray:
+        """Return the values (n, 3) at a time `delay` after each sample."""
+        grid = self.grid
+        shifted: np.ndarray = CubicSpline(grid, values)(np.clip(grid + delay, grid[0], grid[-1]))
+        return shifted
 
     def commands(self, airframe: Airframe, delay: float) -> np.ndarray:
         """Return the commanded rotor speeds, averaged over each sample interval.

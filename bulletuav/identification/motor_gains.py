@@ -17,8 +17,8 @@ from bulletuav.identification.constants import MOTOR_GAINS, Constant, Get, Repla
 from bulletuav.vehicle.airframe import Airframe
 
 GAIN_RESOLUTION = 0.0005
-"""Standard deviation that is added to that of a gain's logarithm, see `Constant.resolution`. In fits
-to 14 simulated logs of 30 s, errors were 0.0007 and their estimated deviations 0.0008 without it.
+"""Standard deviation that is added to that of a gain's logarithm, see `Constant.resolution`. In
+fits to 14 simulated logs of 30 s, errors were 0.0007 and their estimated deviations 0.0008 without.
 """
 
 

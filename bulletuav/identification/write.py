@@ -1,5 +1,6 @@
 """Files of an identification: a URDF, a report in Markdown, and a table in JSON."""
 
+import dataclasses
 import json
 import shutil
 import xml.etree.ElementTree as ElementTree
@@ -180,6 +181,7 @@ def summarize(result: Identification) -> dict[str, Any]:
         "constants": constants,
         "errors": errors,
         "logs": [*_describe_logs("fitted", result.fitted), *_describe_logs("kept", result.kept)],
+        "clocks": [dataclasses.asdict(offset) for offset in result.clocks],
         "note": result.note,
     }
 
@@ -268,6 +270,22 @@ def format_report(result: Identification) -> str:
             f"{1e3 * row['command_delay']:.1f} | {1e3 * row['gyro_delay']:.1f} | {tilt} | "
             f"{row['gain']:.3f} | {filled} |"
         )
+    if result.clocks:
+        lines += [
+            "",
+            "## Clocks",
+            "",
+            "Delays behind the attitude in the fitted logs, which were compensated. Those of "
+            "held-out logs were fitted to half of their windows.",
+            "",
+            "| log | quantity | delay, ms | interval |",
+            "|---|---|---|---|",
+        ]
+        for offset in result.clocks:
+            delay, low, high = (1e3 * time for time in (offset.delay, offset.low, offset.high))
+            lines.append(
+                f"| {offset.log} | {offset.quantity} | {delay:.2f} | {low:.2f} to {high:.2f} |"
+            )
     return "\n".join(lines) + "\n"
 
 

@@ -101,6 +101,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "lag is not applied",
     )
     parser.add_argument(
+        "--clocks",
+        action="store_true",
+        help="fit the delays of positions and velocities behind the attitude, too, for logs in "
+        "which their clocks differ",
+    )
+    parser.add_argument(
         "--mass", type=float, metavar="KG", help="take-off mass (default: that of the airframe)"
     )
     parser.add_argument(
