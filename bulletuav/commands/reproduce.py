@@ -39,7 +39,8 @@ def run(arguments: argparse.Namespace) -> None:
         settings = Settings(**given, progress=lambda fraction: report(100 * fraction))
         outcome = table.reproduce(arguments.table, settings)
     record = record_outcome(arguments.table, table, outcome, settings.size)
-    printed = Table(title=f"{table.title} ({table.publication})")
+    size = "" if settings.size == 1.0 else f", {settings.size:g} of the full size"
+    printed = Table(title=f"{table.title} ({table.publication}){size}")
     for heading in HEADINGS:
         numeric = heading in ("published", "bulletuav", "95 % interval")
         printed.add_column(heading, justify="right" if numeric else "left")
@@ -48,6 +49,11 @@ def run(arguments: argparse.Namespace) -> None:
     print_table(printed)
     for reason in list_reasons(outcome.rows):
         print_text(reason)
+    if settings.size < 1.0:
+        print_text(
+            f"Computed at {settings.size:g} of the full size: intervals are wider, and verdicts "
+            "can differ from those of the full size."
+        )
     for note in outcome.notes:
         print_text(note)
     print_files(write_outcome(record, outcome.figure, out))

@@ -13,7 +13,7 @@ ROUNDING = 1e-14
 
 
 def printed_row(name: str, ours: float, printed: str, unit: str = "", why: str = "") -> Row:
-    """Compare with a number as it is printed: half a unit of its last digit counts as none.
+    """Compare with a printed number: half a unit of its last digit counts as none.
 
     Args:
         name: Name of the number.

@@ -2,6 +2,7 @@
 
 import json
 import math
+import subprocess
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -10,13 +11,14 @@ from typing import Any, Literal, get_args
 import numpy as np
 from matplotlib.figure import Figure
 
-from bulletuav.errors import require_file
 from bulletuav.files import replace_file
 from bulletuav.report.figures import save_figure
 from bulletuav.version import __version__
 
 MIN_DIGITS, MAX_DIGITS = 4, 15
-"""Minimum and maximum number of significant digits of a printed number"""
+"""Minimum and maximum number of significant digits of a number"""
+MAX_PRINTED = 8
+"""Maximum number of significant digits that others print; longer numbers are computed"""
 Verdict = Literal["within", "better", "explained", "outside", "not comparable", "unpublished"]
 VERDICTS: tuple[Verdict, ...] = get_args(Verdict)
 
@@ -108,14 +110,37 @@ class Data:
             The folder.
 
         Raises:
-            ValueError: If there is no folder, with the commands that fetch the data.
+            ValueError: If there is no folder, or it is at another commit, with the commands that
+                fetch the data.
             FileNotFoundError: If the folder lacks the data.
         """
-        remedy = f"fetch it with: {self.commands}"
         if folder is None:
-            raise ValueError(f"{table} needs data: give its folder with --data; {remedy}")
-        require_file("data of the table", folder / self.contains, remedy)
+            raise ValueError(
+                f"{table} needs data: give its folder with --data; fetch it with: {self.commands}"
+            )
+        if not (folder / self.contains).is_file():
+            raise FileNotFoundError(
+                f"{folder} has no {self.contains}: fetch the data with: {self.commands}"
+            )
+        head = _read_head(folder)
+        if head is not None and not head.startswith(self.commit):
+            raise ValueError(
+                f"{folder} is at commit {head[:12]}, and {table} needs another one: "
+                f"git -C {folder} checkout {self.commit}"
+            )
         return folder
+
+
+def _read_head(folder: Path) -> str | None:
+    """Return the commit of a clone; None for folders without git, or without the command."""
+    if not (folder / ".git").exists():
+        return None
+    command = ["git", "-C", str(folder), "rev-parse", "HEAD"]
+    try:
+        found = subprocess.run(command, capture_output=True, text=True, check=True, timeout=60)
+    except (OSError, subprocess.SubprocessError):
+        return None
+    return found.stdout.strip()
 
 
 @dataclass(frozen=True)
@@ -146,7 +171,7 @@ class Settings:
 
 @dataclass(frozen=True)
 class TableOutcome:
-    """A table as it is computed here.
+    """Rows, picture and notes of a computed table.
 
     Attributes:
         rows: Numbers next to the published ones.
@@ -238,16 +263,26 @@ def record_outcome(
 def format_cells(row: Row) -> list[str]:
     """Return the cells of a row: name, unit, published, ours, interval, verdict.
 
-    Numbers have four significant digits, or as many as it takes to see a difference.
+    Published numbers are printed in full, unless they are computed to more than `MAX_PRINTED`
+    digits. Ours have as many digits, or more if it takes more to see a difference.
     """
     digits = MIN_DIGITS
+    if row.published is not None:
+        printed = len(
+            f"{row.published!r}".partition("e")[0].strip("-").replace(".", "").lstrip("0")
+        )
+        digits = max(digits, printed if printed <= MAX_PRINTED else 0)
     while row.verdict in ("better", "explained", "outside") and digits < MAX_DIGITS:
         if f"{row.published:.{digits}g}" != f"{row.ours:.{digits}g}":
             break
         digits += 1
-    published = "" if row.published is None else f"{row.published:.{digits}g}"
-    interval = "" if row.low is None else f"{row.low:.{digits}g} to {row.high:.{digits}g}"
-    return [row.name, row.unit, published, f"{row.ours:.{digits}g}", interval, row.verdict]
+    numbers = [
+        # The sum turns a negative zero into zero
+        "" if number is None else f"{number + 0.0:.{digits}g}"
+        for number in (row.published, row.ours, row.low, row.high)
+    ]
+    interval = "" if row.low is None else f"{numbers[2]} to {numbers[3]}"
+    return [row.name, row.unit, *numbers[:2], interval, row.verdict]
 
 
 def list_reasons(rows: Sequence[Row]) -> list[str]:

@@ -21,6 +21,8 @@ from bulletuav.reproduction.table import (
 )
 
 REPRODUCED = RESULTS / "reproduced"
+MAX_ROWS = 40
+"""Maximum number of rows of a table of which all are on the page"""
 PAGE = ROOT / "docs" / "benchmarks" / "reproduced.md"
 INTRODUCTION = """# Reproduced tables
 
@@ -73,6 +75,7 @@ def sections(record: dict[str, Any]) -> Iterator[str]:
     yield record["about"]
     command = f"bulletuav reproduce {name}"
     if data is not None:
+        yield f"Data: <{data['repository']}>, licence: {data['licence']}."
         folder = data["repository"].rstrip("/").rpartition("/")[2]
         command = (
             f"git clone {data['repository']}\ngit -C {folder} checkout {data['commit']}\n"
@@ -80,7 +83,15 @@ def sections(record: dict[str, Any]) -> Iterator[str]:
         )
     size = "" if record["size"] == 1.0 else f" at {record['size']:g} of the full size"
     yield f"About {record['minutes']:g} minutes on two cores{size}:\n\n```sh\n{command}\n```"
-    yield rows_table(HEADINGS, [format_cells(row) for row in rows])
+    shown = [row for row in rows if len(rows) <= MAX_ROWS or row.verdict != "within"]
+    if shown:
+        yield rows_table(HEADINGS, [format_cells(row) for row in shown])
+    if len(shown) < len(rows):
+        also = "Further" if shown else "All"
+        yield (
+            f"{also} {len(rows) - len(shown)} numbers are within: they are in "
+            f"[{name}.json](../results/reproduced/{name}.json), and the command prints them."
+        )
     for sentence in [*list_reasons(rows), *record["notes"]]:
         yield f"- {sentence}"
     yield f"![{record['title']}](../results/reproduced/{name}.png)"

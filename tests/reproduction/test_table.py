@@ -1,6 +1,7 @@
 """Rows of reproduced tables, their verdicts, their files, and the command."""
 
 import json
+import subprocess
 from dataclasses import replace
 
 import pytest
@@ -83,7 +84,7 @@ def test_names_of_tables_are_those_of_files():
         ({}, {"workers": 2}, ValueError, "runs in one process"),
         ({}, {"data": "FOLDER"}, ValueError, "needs no data"),
         ({"data": DATA}, {}, ValueError, "git -C flights checkout 0123abc"),
-        ({"data": DATA}, {"data": "FOLDER"}, FileNotFoundError, "git clone https://example.org"),
+        ({"data": DATA}, {"data": "FOLDER"}, FileNotFoundError, "no data/flights.csv: fetch"),
     ],
 )
 def test_settings_without_effect_are_errors(changes, settings, error, message, tmp_path):
@@ -98,6 +99,30 @@ def test_a_table_with_its_data_is_computed(tmp_path):
     (tmp_path / "data" / "flights.csv").write_text("t\n0\n")
     outcome = make_table(data=DATA).reproduce("answers", Settings(data=tmp_path))
     assert [row.verdict for row in outcome.rows] == ["within"]
+
+
+def test_a_clone_at_another_commit_is_an_error(tmp_path):
+    """Its numbers would be recorded as those of the table's commit."""
+    (tmp_path / "data").mkdir()
+    (tmp_path / "data" / "flights.csv").write_text("t\n0\n")
+    git = ["git", "-C", str(tmp_path), "-c", "user.name=a", "-c", "user.email=a@b.c"]
+    for command in (["init", "-q"], ["commit", "-q", "--allow-empty", "-m", "empty"]):
+        subprocess.run([*git, *command], check=True)
+    with pytest.raises(ValueError, match="checkout 0123abc"):
+        DATA.find(tmp_path, "answers")
+    head = subprocess.run([*git, "rev-parse", "HEAD"], capture_output=True, text=True, check=True)
+    assert replace(DATA, commit=head.stdout[:7]).find(tmp_path, "answers") == tmp_path
+
+
+def test_tables_of_several_processes_get_them():
+    seen = []
+
+    def compute(settings):
+        seen.append(settings.workers)
+        return TableOutcome([], blank_figure(2, 2))
+
+    make_table(compute=compute, is_parallel=True).reproduce("answers", Settings(workers=2))
+    assert seen == [2]
 
 
 def test_size_scales_counts_and_keeps_the_least():
@@ -123,7 +148,9 @@ def test_files_keep_the_rows(tmp_path):
 def test_cells_have_four_digits_and_the_interval():
     row = Row("error", 0.123456, 0.2, "m", 0.1, 0.15, goal="lower")
     assert format_cells(row) == ["error", "m", "0.2", "0.1235", "0.1 to 0.15", "better"]
-    assert format_cells(Row("digit", 1.23456, 1.23451))[2:4] == ["1.2345", "1.2346"]
+    assert format_cells(Row("printed", 580.652, 580.65, tolerance=0.005))[2:4] == ["580.65"] * 2
+    assert format_cells(Row("zero", -1e-300 * 1e-300, 0.0))[2:4] == ["0", "0"]
+    assert format_cells(Row("digit", 1.23456, 1.23451))[2:4] == ["1.23451", "1.23456"]
     assert format_cells(Row("equal", 1.23456, 1.23456))[2:4] == ["1.235", "1.235"]
     assert format_cells(Row("first", 2.0)) == ["first", "", "", "2", "", "unpublished"]
 

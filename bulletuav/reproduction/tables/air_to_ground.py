@@ -133,6 +133,8 @@ def _compute(settings: Settings) -> TableOutcome:
         rows,
         figure,
         [
+            "The printed parameters are those of the program uav_bs_ctrl, which states Al-Hourani "
+            "as its source.",
             'Rows that begin with "formula" have no printed number: the formulas are evaluated '
             "with 30 digits.",
             "The elevation of eq. 5 is in degrees. Public code that inserts radians finds a "

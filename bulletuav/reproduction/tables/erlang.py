@@ -69,16 +69,8 @@ def _printed_rows() -> list[Row]:
     rows = []
     for servers, printed in CAPACITIES.items():
         ours = find_capacity(servers, 0.02)
-        digits = f"{ours:.3f}"
-        differing = sum(a != b for a, b in zip(digits, printed, strict=True))
-        why = (
-            f"one digit of {printed} differs from {digits}, which blocks 2 %: with {printed}, "
-            f"{100 * erlang_b(servers, float(printed)):.4f} % are blocked"
-            if differing == 1
-            else ""
-        )
         rows.append(
-            printed_row(f"load at 2 % blocking, {servers} channels", ours, printed, "Erlang", why)
+            printed_row(f"load at 2 % blocking, {servers} channels", ours, printed, "Erlang")
         )
     rows += [
         # https://erlang.com/calculatormanual/howmuchtrafficcanatrunkgrouphandle.htm
@@ -148,8 +140,11 @@ def _compute(settings: Settings) -> TableOutcome:
         [
             'Rows that begin with "formula" have no printed number: there, Erlang\'s formulas are '
             "evaluated with 30 digits.",
-            "The printed table of capacities is Lucent Technologies', as its copy on the web has "
-            "it; whether the seven differing digits are theirs or the copy's is unknown.",
+            "The printed table of capacities is Lucent Technologies', in the copy at "
+            "garywagoner.tripod.com. Seven numbers differ from the formula, each in one digit; "
+            "whether in the table or in the copy is unknown.",
+            "The worked examples are those of the manual of erlang.com, the R package ErlangC and "
+            "the Octave package queueing.",
         ],
     )
 

@@ -171,4 +171,5 @@ REPRODUCTION = Reproduction(
     ),
     minutes=7,
     compute=_compute,
+    is_parallel=True,
 )
