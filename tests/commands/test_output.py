@@ -30,6 +30,7 @@ RUNS = {
     "evaluate": [["evaluate", "hover", *POINTS, "--episodes", "1"]],
     "fly": [["fly", "crossing", *POINTS, "--animation", "none"]],
     "identify": [["identify", "log.csv", "--airframe", "cf2x", "--fit", "drag_xy"]],
+    "reproduce": [["reproduce"], ["reproduce", "erlang"]],
     "tasks": [
         ["tasks", "crossing"],
         ["tasks", "crossing", "--all"],

@@ -26,6 +26,7 @@ WITHOUT_SCORES = {
     "export": "converts a flight",
     "convert": "converts a drone's file",
     "identify": "fits constants to logs",
+    "reproduce": "compares with published numbers, and each table states its own conditions",
     "serve": "serves other programs",
     "benchmark": "measures speed",
     "compile": "compiles",

@@ -15,7 +15,7 @@ ABOUT = {
     "epilog": """examples:
   bulletuav reproduce
   bulletuav reproduce erlang
-  bulletuav reproduce mec-reference --size 0.01 --out tables""",
+  bulletuav reproduce quadswarm --size 0.02 --out tables""",
 }
 
 DEFAULT_OUT = Path("reproduced")
