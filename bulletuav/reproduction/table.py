@@ -40,6 +40,8 @@ class Row:
         why: Explanation of a number that is neither within nor better.
         is_comparable: False if the published number is of another quantity, or of a method that
             knows more or less; it then only stands next to ours.
+        is_exact: True if repeated computations give the same number, so that the interval does not
+            count in the comparison.
     """
 
     name: str
@@ -52,6 +54,7 @@ class Row:
     goal: Literal["equal", "lower", "higher"] = "equal"
     why: str = ""
     is_comparable: bool = True
+    is_exact: bool = False
 
     @property
     def verdict(self) -> Verdict:
@@ -66,8 +69,8 @@ class Row:
             return "unpublished"
         if not self.is_comparable:
             return "not comparable"
-        low = self.ours if self.low is None else self.low
-        high = self.ours if self.high is None else self.high
+        low = self.ours if self.low is None or self.is_exact else self.low
+        high = self.ours if self.high is None or self.is_exact else self.high
         if low - self.tolerance <= self.published <= high + self.tolerance:
             return "within"
         if self.goal == "lower" and self.ours < self.published:

@@ -55,6 +55,8 @@ def make_table(**changes):
         (Row("success", 0.8, 1.0, goal="higher", why="other rooms"), "explained"),
         (Row("error", 0.8, 1.0, goal="lower", why="not needed"), "better"),
         (Row("equal has no better", 0.8, 1.0), "outside"),
+        (Row("again", 1.2, 1.0, low=0.9, high=1.5, is_exact=True), "outside"),
+        (Row("again", 1.0, 1.0, low=0.9, high=1.5, is_exact=True), "within"),
         (Row("first", 0.8), "unpublished"),
         (Row("force", 0.8, 1.0, goal="lower", is_comparable=False), "not comparable"),
         (Row("force", 1.0, 1.0, is_comparable=False), "not comparable"),

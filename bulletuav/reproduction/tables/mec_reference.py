@@ -91,14 +91,16 @@ def make_edge_rows(flights: list[EdgeFlight], size: float) -> list[Row]:
             cells = [(RIGID_BODY, "", flight.estimates["completed"])]
             numbers = known[-1:]
         rows += [
-            _make_row(f"{case[0]}, {case[1]}: {name}", unit, found, number, why)
+            _make_row(f"{case[0]}, {case[1]}: {name}", unit, found, number, why, size == 1)
             for (name, unit, found), number in zip(cells, numbers, strict=True)
         ]
     return rows
 
 
-def _make_row(name: str, unit: str, found: Estimate, published: float | None, why: str) -> Row:
-    """Return a row of the table."""
+def _make_row(
+    name: str, unit: str, found: Estimate, published: float | None, why: str, is_whole: bool
+) -> Row:
+    """Return a row of the table; the whole table has the same episodes as the published one."""
     tolerance = rounding_error(published or 0.0)
     return Row(
         name,
@@ -109,6 +111,7 @@ def _make_row(name: str, unit: str, found: Estimate, published: float | None, wh
         found.high,
         tolerance=tolerance,
         why=why,
+        is_exact=is_whole,
     )
 
 
