@@ -4,7 +4,9 @@ Their repository has the weights of networks that were trained on flights of two
 not have the flights.
 """
 
+import lzma
 import zipfile
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +15,8 @@ from bulletuav.reproduction.flight_series import LogError
 
 LAYER_SHAPES = ((128, 6), (128,), (64, 128), (64,), (128, 64), (128,), (3, 128), (3,))
 """Shapes of weights and biases, in the order of the file (nn_net.py of the repository)"""
+UNREADABLE = (zipfile.BadZipFile, RuntimeError, OSError, EOFError, zlib.error, lzma.LZMAError)
+"""Errors of `zipfile` for files that are damaged, encrypted, or compressed in unknown ways"""
 NETWORK_FOLDER = "ndp_nmpc/scripts/dnwash_nn_est/nn_model"
 
 
@@ -41,7 +45,7 @@ def read_downwash_network(path: Path) -> list[np.ndarray]:
                     )
                 numbers = np.frombuffer(archive.read(entry), "<f4").astype(float)
                 weights.append(numbers.reshape(shape))
-    except (zipfile.BadZipFile, NotImplementedError, OSError, EOFError) as error:
+    except UNREADABLE as error:
         raise LogError(f"{path.name}: no file of PyTorch; fetch it again") from error
     if not all(np.isfinite(one).all() for one in weights):
         raise LogError(f"{path.name}: a weight is not finite; fetch the file again")

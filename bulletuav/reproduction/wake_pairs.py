@@ -80,13 +80,20 @@ def find_log_pairs(folder: Path, experiments: Sequence[str]) -> list[tuple[Path,
 
 
 def align_logs(first: SwarmLog, second: SwarmLog) -> tuple[slice, slice]:
-    """Return the rows of two logs that have the same times: both start when the radio says so."""
-    count = min(len(first.time), len(second.time))
+    """Return the rows of two logs that have the same times: both start when the radio says so.
+
+    Raises:
+        LogError: If they have no common times.
+    """
     start = round((second.time[0] - first.time[0]) / SWARM_DT)
-    return (
-        slice(max(start, 0), max(start, 0) + count - abs(start)),
-        slice(max(-start, 0), max(-start, 0) + count - abs(start)),
-    )
+    a, b = max(start, 0), max(-start, 0)
+    count = min(len(first.time) - a, len(second.time) - b)
+    if count < 1:
+        ranges = " and ".join(
+            f"{log.time[0]:.2f} to {log.time[-1]:.2f} s" for log in (first, second)
+        )
+        raise LogError(f"logs of a pair have no common times: {ranges}; fetch them again")
+    return slice(a, a + count), slice(b, b + count)
 
 
 def measure_wake(me: SwarmLog, other: SwarmLog, mine: slice, its: slice) -> LowerDrone | None:

@@ -2,6 +2,7 @@
 
 import struct
 import zlib
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -20,9 +21,10 @@ from bulletuav.reproduction.swarm_logs import (
     read_swarm_log,
 )
 from bulletuav.reproduction.table import Settings
-from bulletuav.reproduction.tables.downwash import ERRORS, compute_reduction
+from bulletuav.reproduction.tables.downwash import ERRORS, _squares, compute_reduction
 from bulletuav.reproduction.wake_pairs import (
     DROP_RANGE,
+    PAIR_INERTIA,
     align_logs,
     find_log_pairs,
     fit_wake_share,
@@ -138,13 +140,58 @@ def test_a_force_across_is_measured_in_world_axes():
     assert lower is None
 
 
+@pytest.mark.parametrize(("apart", "sign"), [((0.0, 0.1), -1.0), ((0.0, -0.1), 1.0)])
+def test_a_moment_that_lowers_the_side_towards_the_other_drone_is_positive(apart, sign):
+    count = 400
+    level, gap = np.tile(np.eye(3), (count, 1, 1)), np.zeros(count, dtype=bool)
+    time = 0.01 * np.arange(count)
+    position = np.tile([0.0, 0.0, 1.0], (count, 1))
+    rates, thrust = np.zeros((count, 3)), np.full((count, 4), WEIGHT / 4)
+    # Roll accelerates by 3 rad/s^2: the left side, at +y, rises
+    rates[200:, 0] = 3.0 * (time[200:] - time[200])
+    me = SwarmLog(time, position, np.ones(count), rates, level, thrust, gap)
+    above = position + [*apart, 0.4]
+    above[:200, 0] = 2.0
+    other = SwarmLog(time, above, np.ones(count), 0 * rates, level, thrust, gap)
+    lower = measure_wake(me, other, slice(count), slice(count))
+    expected = sign * 1e3 * PAIR_INERTIA * 3.0
+    np.testing.assert_allclose(lower.moment[210:390], expected, rtol=1e-9)
+
+
+def test_all_errors_are_reduced_by_their_own_law(clone):
+    first, second = (read_swarm_log(path) for path in find_log_pairs(clone, ("swap_ss",))[0])
+    a, b = align_logs(first, second)
+    lower = measure_wake(second, first, b, a)
+    push, moment = predict_near_wake(lower, ROW)
+    across = np.tile([0.3, -0.4], (len(push), 1))
+    known = replace(lower, push=push + 1.0, sideways=across, moment=moment + 0.2)
+    count = lower.near.sum()
+    before = np.sum((push + 1.0)[lower.near] ** 2)
+    squares = _squares([known], ROW)
+    np.testing.assert_allclose(squares[0], [before, count])
+    np.testing.assert_allclose(squares[1], [before + 0.25 * count, 1.25 * count])
+    turned = np.sum((moment + 0.2)[lower.near] ** 2)
+    np.testing.assert_allclose(squares[3], [turned, 0.04 * count])
+    assert turned > 0.2 * count
+
+
 def test_rows_of_two_logs_have_the_same_times():
     time = 0.01 * np.arange(100)
     empty = np.zeros(0)
-    logs = [SwarmLog(t, *[empty] * 6) for t in (time, time[:80] + 0.25)]
+    logs = [SwarmLog(t, *[empty] * 6) for t in (time, time[:80] + 0.2)]
     a, b = align_logs(*logs)
     np.testing.assert_allclose(logs[0].time[a], logs[1].time[b])
-    assert a == slice(25, 80)
+    # The second log of 80 rows lies within the first one
+    assert (a, b) == (slice(20, 100), slice(0, 80))
+    b, a = align_logs(*logs[::-1])
+    assert (a, b) == (slice(20, 100), slice(0, 80))
+
+
+def test_logs_without_common_times_end_in_one_clear_error():
+    empty = np.zeros(0)
+    logs = [SwarmLog(t + 0.01 * np.arange(100), *[empty] * 6) for t in (0.0, 3.0)]
+    with pytest.raises(LogError, match=r"0.00 to 0.99 s and 3.00 to 3.99 s; fetch them again"):
+        align_logs(*logs)
 
 
 def test_the_simulated_height_is_that_of_the_differential_equation():
@@ -191,14 +238,27 @@ def test_the_table_of_made_up_logs(clone):
         row = rows[f"{name}, strength fitted: {force}"]
         assert row.ours > 90.0
         assert row.published == 56.0
-        assert row.verdict == "explained"
+        assert row.verdict == "not comparable"
+        assert rows[f"{name}: moment"].verdict == "unpublished"
         height = "height, wake fed forward (published: height of Li et al.)"
         assert rows[f"{name}, strength fitted: {height}"].ours > 90.0
-    row = rows[f"large above small: {force}"]
-    assert row.verdict == "explained"
-    assert row.low is None, "one flight is held out"
-    assert f"{shares['large above small']:.3f}" in row.why
+    assert rows[f"large above small: {force}"].low is None, "one flight is held out"
+    assert not any(row.why for row in outcome.rows)
+    assert outcome.extra["used"] == {"small above small": 1, "large above small": 1}
+    assert outcome.extra["left_out"] == {"small above small": [], "large above small": []}
     assert outcome.figure.axes[0].get_xlabel() == "horizontal distance, m"
+
+
+def test_held_out_flights_that_are_not_used_are_listed(clone):
+    place = clone / "data" / "training" / "some_day" / "swap_sl"
+    # Held out are the flights 01 and 03
+    for k, drop in ((2, 0.4), (3, DROP_RANGE[1] + 0.1)):
+        write_pair(place, (f"cf101_0{k}", f"cf50_0{k}"), strength=0.6, drop=drop)
+    outcome = find_reproduction("downwash").compute(Settings(data=clone))
+    assert outcome.extra["used"]["large above small"] == 1
+    reason = "swap_sl, cf101_03 and cf50_03: never in the wake"
+    assert outcome.extra["left_out"]["large above small"] == [reason]
+    assert "1 of 2 of a larger drone and a Crazyflie" in " ".join(outcome.notes)
 
 
 def test_broken_and_missing_logs_end_in_one_clear_error(clone):

@@ -13,6 +13,7 @@ from bulletuav.reproduction.flight_series import LogError, pick_evenly
 from bulletuav.reproduction.swarm_logs import SWARM_DT, is_large_drone, read_swarm_log
 from bulletuav.reproduction.table import Data, Reproduction, Row, Settings, TableOutcome
 from bulletuav.reproduction.wake_pairs import (
+    FREE_DISTANCE,
     MIXED_PAIRS,
     SMALL_PAIRS,
     LowerDrone,
@@ -27,7 +28,8 @@ from bulletuav.vehicle.airframe import STANDARD_GRAVITY
 from bulletuav.vehicle.airframes import load_airframe
 from bulletuav.vehicle.parameters import ParameterRow, parameter_rows
 
-EXPERIMENTS = {"small above small": SMALL_PAIRS, "large above small": MIXED_PAIRS}
+SMALL, MIXED = "small above small", "large above small"
+EXPERIMENTS = {SMALL: SMALL_PAIRS, MIXED: MIXED_PAIRS}
 FLOWN_CONTROLLER_MASS = 0.032
 """Mass in the controller of these flights, kg (crazyflieTypes.yaml of the data)"""
 STIFFNESS, DAMPING = 1.25 / FLOWN_CONTROLLER_MASS, 0.4 / FLOWN_CONTROLLER_MASS
@@ -54,69 +56,80 @@ def _compute(settings: Settings) -> TableOutcome:
     shares: dict[str, float] = {}
     counts: dict[str, int] = {}
     shown: list[LowerDrone] = []
+    left_out: dict[str, list[str]] = {}
     for k, (name, experiments) in enumerate(EXPERIMENTS.items()):
         paths = find_log_pairs(settings.data, experiments)
-        fitted = _measure(paths[::2], settings, 0.5 * k)
-        kept = _measure(paths[1::2], settings, 0.5 * k + 0.25)
+        fitted, _ = _measure(paths[::2], settings, 0.5 * k)
+        kept, left_out[name] = _measure(paths[1::2], settings, 0.5 * k + 0.25)
         shown = shown or [one for pair in kept for one in pair]
         share = fit_wake_share([one for pair in fitted for one in pair], row)
         refitted = row.copy()
         refitted.wake_share = share
         shares[name], counts[name] = share, len(kept)
-        why = ""
-        if experiments is MIXED_PAIRS:
-            why = (
-                "the wake of the larger drone is weaker than its thrust and the constants of the "
-                f"Crazyflie give: its strength, fitted to the other flights, is {share:.3f}, not "
-                f"{row.wake_share:g}"
-            )
-        rows += _compare(name, kept, row, why)
+        rows += _compare(name, kept, row)
         rows += _compare(f"{name}, strength fitted", kept, refitted)
     settings.progress(1.0)
     notes = (
-        "Published percentages are of tracking errors of other drones in flight, with and without "
-        "a learned model of the wake in the controller. The flights of Smith et al. are not "
-        "public, and the repository of Li et al. has their networks but no flights. Ours are of "
-        "forces that Neural-Swarm measured, and of heights: a controller with the gains of these "
-        "flights is simulated under the measured force, with and without the predicted force "
-        "subtracted.",
-        f"Every second flight is held out: {counts['small above small']} of two Crazyflies, "
-        f"{counts['large above small']} with a larger drone above. The wake of the airframe cf2x "
+        "No number is comparable: published percentages are of tracking errors of other drones in "
+        "flight, with and without a learned model of the wake in the controller. The flights of "
+        "Smith et al. are not public, and the repository of Li et al. has their networks but no "
+        "flights. Ours are of forces that Neural-Swarm measured, and of heights: a controller with "
+        "the gains of these flights is simulated under the measured force, with and without the "
+        "predicted force subtracted.",
+        f"Every second flight is held out. Used are {_count(counts, left_out, SMALL)} of two "
+        f"Crazyflies and {_count(counts, left_out, MIXED)} of a larger drone and a Crazyflie; in "
+        "the others the Crazyflie flew less than a second outside of wakes, from which its mass "
+        "follows, or was never in the wake. The wake of the airframe cf2x "
         "was fitted to the other flights of two Crazyflies. It is used for the larger drone as "
         "well, with that drone's thrust, since the data does not state the length of its arms.",
         "Errors are root-mean-square values where the lower drone is within 0.25 m of the axis and "
-        f"0.15 to 0.7 m below. Fitted strengths: {shares['small above small']:.3f} and "
-        f"{shares['large above small']:.3f} instead of {row.wake_share:g}.",
+        f"0.15 to 0.7 m below; rows more than {FREE_DISTANCE:g} m from the axis also count as free "
+        f"flight. Fitted strengths: {shares[SMALL]:.3f} and {shares[MIXED]:.3f} instead of "
+        f"{row.wake_share:g}.",
     )
-    return TableOutcome(rows, _draw(rows, shown, row), notes, extra={"wake_share": shares})
+    extra = {"wake_share": shares, "used": counts, "left_out": left_out}
+    return TableOutcome(rows, _draw(rows, shown, row), notes, extra=extra)
+
+
+def _count(used: dict[str, int], left_out: dict[str, list[str]], name: str) -> str:
+    """Format how many held-out flights are used."""
+    return f"{used[name]} of {used[name] + len(left_out[name])}"
 
 
 def _measure(
     paths: Sequence[tuple[Path, Path]], settings: Settings, done: float
-) -> list[list[LowerDrone]]:
+) -> tuple[list[list[LowerDrone]], list[str]]:
     """Measure the wakes on the smaller drone of each flight, or on both of equal ones.
+
+    Returns:
+        Lower drones by flight, and the reasons why other flights are left out.
 
     Raises:
         LogError: If no drone was in the wake of another.
     """
     picked = pick_evenly(np.arange(len(paths)), settings.count(len(paths), least=2))
-    flights = []
+    flights, left_out = [], []
     for k, index in enumerate(picked):
         first, second = (read_swarm_log(path) for path in paths[index])
         a, b = align_logs(first, second)
         felt = (measure_wake(first, second, a, b), measure_wake(second, first, b, a))
-        lower = [
+        measured = [
             one
             for one, path in zip(felt, paths[index], strict=True)
-            if one is not None and one.near.any() and not is_large_drone(path)
+            if one is not None and not is_large_drone(path)
         ]
+        lower = [one for one in measured if one.near.any()]
         if lower:
             flights.append(lower)
+        else:
+            one, other = paths[index]
+            reason = "never in the wake" if measured else "less than a second of free flight"
+            left_out.append(f"{one.parent.name}, {one.name} and {other.name}: {reason}")
         settings.progress(done + 0.25 * (k + 1) / len(picked))
     if not flights:
         names = ", ".join(path.name for pair in paths for path in pair)
         raise LogError(f"no drone flew in the wake of another in {names}; fetch the data again")
-    return flights
+    return flights, left_out
 
 
 def _squares(flight: Sequence[LowerDrone], row: ParameterRow) -> np.ndarray:
@@ -147,16 +160,7 @@ def compute_reduction(squares: np.ndarray) -> np.ndarray:
     return np.asarray(100.0 * (1.0 - np.sqrt(squares[..., 1] / squares[..., 0])))
 
 
-OTHER_QUANTITY = (
-    "theirs is the reduction of a tracking error in flight, of other drones; ours is that of a "
-    "measured force, or of a height simulated from it"
-)
-"""Reason of differences from the published numbers"""
-
-
-def _compare(
-    name: str, kept: Sequence[Sequence[LowerDrone]], row: ParameterRow, why: str = ""
-) -> list[Row]:
+def _compare(name: str, kept: Sequence[Sequence[LowerDrone]], row: ParameterRow) -> list[Row]:
     """List the reductions of all errors, with intervals of the bootstrap over flights."""
     squares = np.stack([_squares(flight, row) for flight in kept])
     chosen = np.random.default_rng(0).integers(0, len(kept), (RESAMPLES, len(kept)))
@@ -172,8 +176,8 @@ def _compare(
             published,
             "%",
             tolerance=tolerance,
-            # Quantities of two kinds are never better than each other
-            why=why or OTHER_QUANTITY,
+            # Theirs are of tracking errors, ours of forces or of simulated heights
+            is_comparable=published is None,
         )
         # A single flight has no interval
         if len(kept) > 1:
@@ -213,13 +217,15 @@ def _draw(rows: Sequence[Row], shown: Sequence[LowerDrone], row: ParameterRow) -
     at = np.arange(len(listed))[::-1]
     ours = np.array([one.ours for one in listed])
     ends = np.array([[one.low, one.high] for one in listed], dtype=float)
-    right.barh(at + 0.2, ours, 0.4, color="#4477aa", label="bulletuav, 95 % interval")
-    right.errorbar(ours, at + 0.2, xerr=np.abs(ends.T - ours), fmt="none", color="black", capsize=2)
+    right.barh(at, ours, 0.5, color="#99bbdd", label="bulletuav, of forces and simulated heights")
+    bars = {"fmt": "none", "color": "black", "capsize": 2, "label": "95 % interval"}
+    right.errorbar(ours, at, xerr=np.abs(ends.T - ours), **bars)
     published = [one.published for one in listed]
-    right.barh(at - 0.2, published, 0.4, color="#bbbbbb", label="published (tracking error)")
+    label = "published, of tracking errors of other drones"
+    right.plot(published, at, "D", color="#aa3377", fillstyle="none", label=label)
     right.set_yticks(at, [one.name.replace(" (", "\n(") for one in listed], fontsize=7)
     right.set(xlabel="reduction of the error by the model of the wake, %", xlim=(0, 100))
-    right.legend(fontsize=8, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
+    right.legend(fontsize=8, loc="lower center", bbox_to_anchor=(0.3, 1.0), ncols=3)
     return figure
 
 
