@@ -4,6 +4,7 @@ S. I. Ullah and J. Baca, NanoBench, arXiv 2603.09908 (2026): pose, gyroscope, mo
 battery voltage at 100 Hz.
 """
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -67,7 +68,8 @@ def read_nanobench_flight(path: Path) -> NanobenchFlight:
     """Read one flight.
 
     Raises:
-        LogError: If columns or numbers are missing, times do not rise, motor commands are out of
+        LogError: If columns or numbers are missing, times do not rise, quaternions have another
+            length than 1, motor commands are out of
             range (misread packets of the radio), or the drone never flew.
     """
     name = path.stem
@@ -76,11 +78,19 @@ def read_nanobench_flight(path: Path) -> NanobenchFlight:
     require_log_columns(name, header, NANOBENCH_COLUMNS)
     indices = [header.index(column) for column in NANOBENCH_COLUMNS]
     try:
-        table = np.genfromtxt(path, delimiter=",", skip_header=1, usecols=indices, ndmin=2)
+        with warnings.catch_warnings():
+            # Of files without rows, whose times do not rise
+            warnings.simplefilter("ignore", UserWarning)
+            table = np.genfromtxt(path, delimiter=",", skip_header=1, usecols=indices, ndmin=2)
+        table = table.reshape(-1, len(indices))
     except ValueError as error:
         raise LogError(f"{name}: rows differ in length; fetch the file again") from error
     require_finite_log(name, table, NANOBENCH_COLUMNS)
     require_rising_time(name, table[:, 0])
+    lengths = np.linalg.norm(table[:, 4:8], axis=1)
+    if np.abs(lengths - 1.0).max() > 0.01:
+        worst = lengths[np.argmax(np.abs(lengths - 1.0))]
+        raise LogError(f"{name}: a quaternion of length {worst:.2f}, not 1")
     pwm = table[:, 14:18] / FULL_PWM
     if pwm.min() < 0.0 or pwm.max() > 1.0:
         raise LogError(f"{name}: motor commands from {pwm.min():.2f} to {pwm.max():.2f} of full")

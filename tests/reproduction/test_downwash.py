@@ -251,14 +251,17 @@ def test_the_table_of_made_up_logs(clone):
 
 def test_held_out_flights_that_are_not_used_are_listed(clone):
     place = clone / "data" / "training" / "some_day" / "swap_sl"
-    # Held out are the flights 01 and 03
-    for k, drop in ((2, 0.4), (3, DROP_RANGE[1] + 0.1)):
-        write_pair(place, (f"cf101_0{k}", f"cf50_0{k}"), strength=0.6, drop=drop)
+    # Held out are the flights 01, 03 and 05
+    for k, drop in ((2, 0.4), (3, DROP_RANGE[1] + 0.1), (4, 0.4)):
+        write_pair(place, (f"cf101_0{k}", f"cf50_0{k}"), 0.6, drop=drop)
+    write_pair(place, ("cf101_05", "cf50_05"), 0.6, count=90)
     outcome = find_reproduction("downwash").compute(Settings(data=clone))
     assert outcome.extra["used"]["large above small"] == 1
-    reason = "swap_sl, cf101_03 and cf50_03: never in the wake"
-    assert outcome.extra["left_out"]["large above small"] == [reason]
-    assert "1 of 2 of a larger drone and a Crazyflie" in " ".join(outcome.notes)
+    assert outcome.extra["left_out"]["large above small"] == [
+        "some_day/swap_sl, cf101_03 and cf50_03: never in the wake",
+        "some_day/swap_sl, cf101_05 and cf50_05: less than a second of free flight",
+    ]
+    assert "1 of 3 of a larger drone and a Crazyflie" in " ".join(outcome.notes)
 
 
 def test_broken_and_missing_logs_end_in_one_clear_error(clone):

@@ -20,6 +20,7 @@ from bulletuav.reproduction.nanobench_flights import (
 )
 from bulletuav.reproduction.nanobench_rollouts import (
     HORIZON,
+    RATE_ROWS,
     DroneTrim,
     FlightWindows,
     calibrate_trim,
@@ -107,6 +108,12 @@ def test_a_flight_is_read_as_it_was_written(tmp_path):
         (lambda t: t["t"].__setitem__(5, 0.0), "do not rise"),
         (lambda t: t[MOTOR_COLUMNS[2]].__setitem__(9, -6553.5), "from -0.10 to"),
         (lambda t: t["pz"].__imul__(0.2), "never above 0.5 m"),
+        (
+            lambda t: [t[k].__imul__(0) for k in ("qx", "qy", "qz", "qw")],
+            "quaternion of length 0.00",
+        ),
+        (lambda t: t["qw"].__setitem__(7, 1.5), "a quaternion of length 1.50, not 1"),
+        (lambda t: t.update({k: t[k][:0] for k in t}), "times of 0 rows do not rise"),
     ],
 )
 def test_broken_flights_are_left_out_with_the_reason(tmp_path, change, message):
@@ -208,6 +215,22 @@ def test_gain_and_tilt_of_a_drone_are_found_again():
     assert trim.tilt == pytest.approx((0.02, -0.01), abs=2e-3)
 
 
+def test_the_torque_of_a_drone_is_found_again():
+    airframe = replace(AIRFRAME, damping=(0.0, 0.0, 0.0))
+    flight = made_up_flight(speed=0.0)
+    flight.rates[:, 0] = 0.2 * (flight.time - flight.time[0])
+    windows = find_flown_windows(flight, 10)
+    trim = calibrate_trim([windows], airframe)
+    end = flight.rates[windows.starts + RATE_ROWS]
+    for one, expected in ((DroneTrim(trim.gain), 0.02), (trim, 0.0)):
+        free = predict_windows(windows, airframe, one, is_guided=False)
+        error = np.median(end - free[:, RATE_ROWS - 1, 10:], axis=0)
+        # The rotors damp the rates, so that the error without torque is larger
+        assert expected - 1e-6 < error[0] < 2 * expected + 1e-6
+        np.testing.assert_allclose(error[1:], 0.0, atol=1e-6)
+    assert trim.torque[0] > 0.2 * AIRFRAME.inertia[0]
+
+
 @pytest.fixture
 def clone(tmp_path):
     for k, course in enumerate((0.0, np.pi / 2, np.pi, -np.pi / 2, 0.5, 2.5)):
@@ -227,17 +250,28 @@ def compute(folder, size=0.05):
 def test_the_table_of_made_up_flights(clone):
     outcome = compute(clone, size=1.0)
     rows = {row.name: row for row in outcome.rows}
-    assert len(rows) == 30
+    assert len(rows) == 4 * (5 * 4 + 2)
     assert outcome.extra["gain"] == pytest.approx(GAIN, rel=5e-3)
     assert [reason.split(":")[0] for reason in outcome.extra["refused"]] == ["B3_low", "B3_spun"]
     naive = rows["naive: position after 0.5 s"]
     assert naive.published == 0.2866
     # Speeds from 0.5 to 1.0 m/s, and 1 m/s, that fall within 4 s
     assert 0.1 < naive.low < naive.ours < naive.high < 0.5
+    flown = rows["naive, windows of the predictions: position after 0.5 s"]
+    assert flown.published == 0.2866
+    assert flown.goal == naive.goal == "equal"
     given = rows["attitude given: position after 0.5 s"]
     assert given.verdict == "unpublished"
     assert given.ours < 0.01
-    assert rows["rates held: position after 0.5 s (published: physics)"].verdict == "better"
+    nominal = rows["rates held, not calibrated: position after 0.5 s (published: physics)"]
+    assert nominal.published == 0.6364
+    held = rows["rates held: position after 0.5 s (published: best, residual)"]
+    assert (held.published, held.verdict) == (0.2282, "better")
+    # The thrust of the made-up drone is less than that of the airframe
+    assert nominal.ours > 2 * held.ours
+    total = rows["rates held: position summed over 50 steps (published: best, physics + residual)"]
+    assert total.published == 4.4071
+    assert held.ours < total.ours < 50 * held.ours
     assert outcome.figure.axes[0].get_xlabel() == "prediction horizon, s"
     again = compute(clone, size=1.0)
     assert [(row.ours, row.low, row.high) for row in again.rows] == [
@@ -245,10 +279,67 @@ def test_the_table_of_made_up_flights(clone):
     ]
 
 
+def test_a_smaller_size_keeps_the_halves(clone, monkeypatch):
+    halves = []
+
+    def keep(flights, refused):
+        halves.append({flight.name for flight in flights})
+        return list(flights)
+
+    monkeypatch.setattr(nanobench, "_keep_valid_rates", keep)
+    compute(clone, size=1.0)
+    compute(clone, size=0.05)
+    training, tested, some, few = halves
+    assert not training & tested
+    assert some < training
+    assert few < tested
+
+
+def flat_errors(free, own):
+    """Errors of two flights that are the same at all times."""
+    sizes = dict.fromkeys((nanobench.NAIVE, nanobench.FLOWN_NAIVE, nanobench.GIVEN), 0.001)
+    sizes |= {nanobench.HELD: 1e-3, nanobench.NOMINAL: 1e-3}
+    sizes |= {nanobench.FREE: free, nanobench.OWN_TORQUE: own}
+    return {name: np.full((2, HORIZON, 4), size) for name, size in sizes.items()}
+
+
+def test_free_errors_are_explained_only_if_the_torque_of_the_flight_removes_most():
+    # Three quarters of the excess over 0.0915 are 0.75
+    for own, verdict in ((0.33, "explained"), (0.35, "outside")):
+        rows = {row.name: row for row in nanobench._list_rows(flat_errors(1.0915, own))}
+        free = rows["free: attitude after 0.5 s (published: best, naive)"]
+        assert (free.published, free.verdict) == (0.0915, verdict)
+        assert all(row.name.startswith("free: ") for row in rows.values() if row.why)
+    rows = nanobench._list_rows(flat_errors(1e-5, 1e-6))
+    assert not any(row.why for row in rows)
+
+
+def test_columns_are_errors_after_steps_and_their_sum():
+    values = np.tile(np.arange(1.0, HORIZON + 1)[:, None], (3, 1, 4))
+    assert nanobench._sum_up(values)[2, :, 3].tolist() == [1.0, 10.0, 50.0, 1275.0]
+    assert len(nanobench.COLUMNS) == 4
+    assert nanobench.COLUMNS[1] == "after 0.1 s"
+
+
+def test_the_best_published_model_of_each_column_is_found():
+    velocity = [nanobench.find_best_model(1, column) for column in range(4)]
+    assert velocity == ["naive"] * 4
+    position = [nanobench.find_best_model(0, column) for column in range(4)]
+    assert position == ["physics", "physics + residual", "residual", "physics + residual"]
+
+
+def test_one_readable_flight_ends_in_one_clear_error(clone):
+    for path in sorted((clone / "datasets" / "dataset").glob("*.csv"))[1:]:
+        path.write_text("t,px\n0,0\n")
+    message = r"in one half of the data, every second readable flight \(none\); fetch"
+    with pytest.raises(LogError, match=message):
+        compute(clone)
+
+
 def test_data_without_flight_ends_in_one_clear_error(clone):
     for path in (clone / "datasets" / "dataset").glob("*.csv"):
         path.write_text("t,px\n0,0\n")
-    with pytest.raises(LogError, match="no flight of half a second .*none readable.* again"):
+    with pytest.raises(LogError, match=r"no flight of half a second .*\(none\).* again"):
         compute(clone)
 
 

@@ -113,18 +113,17 @@ def _measure(
         first, second = (read_swarm_log(path) for path in paths[index])
         a, b = align_logs(first, second)
         felt = (measure_wake(first, second, a, b), measure_wake(second, first, b, a))
-        measured = [
-            one
-            for one, path in zip(felt, paths[index], strict=True)
-            if one is not None and not is_large_drone(path)
+        small = [
+            one for one, path in zip(felt, paths[index], strict=True) if not is_large_drone(path)
         ]
-        lower = [one for one in measured if one.near.any()]
+        lower = [one for one in small if one is not None and one.near.any()]
         if lower:
             flights.append(lower)
         else:
             one, other = paths[index]
-            reason = "never in the wake" if measured else "less than a second of free flight"
-            left_out.append(f"{one.parent.name}, {one.name} and {other.name}: {reason}")
+            place = f"{one.parent.parent.name}/{one.parent.name}"
+            reason = "less than a second of free flight" if None in small else "never in the wake"
+            left_out.append(f"{place}, {one.name} and {other.name}: {reason}")
         settings.progress(done + 0.25 * (k + 1) / len(picked))
     if not flights:
         names = ", ".join(path.name for pair in paths for path in pair)
