@@ -74,8 +74,8 @@ def squares_of_blocks(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return squared errors of roll and pitch, summed over blocks kept back (B, 2), and counts."""
     fitted, kept = arpl.windows(logs, predictor, steps)
-    told = arpl.predict(predictor, kept, arpl.fitted_bias(predictor, fitted))
-    apart = (told - kept.end)[:, :2] ** 2
+    predicted = arpl.predict(predictor, kept, arpl.fitted_bias(predictor, fitted))
+    apart = (predicted - kept.end)[:, :2] ** 2
     blocks = np.unique(kept.block)
     return (
         np.stack([apart[kept.block == block].sum(axis=0) for block in blocks]),

@@ -1,8 +1,7 @@
-"""Shared parts of the readers of flight logs: checks, time series, statistics of bins."""
+"""Shared parts of the readers of flight logs: checks and time series."""
 
 import hashlib
-from collections.abc import Mapping, Sequence
-from itertools import pairwise
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -120,28 +119,3 @@ def motor_moments(forces: np.ndarray, half_arm: float) -> np.ndarray:
         half_arm: Distance of the motors from the body axes, m.
     """
     return half_arm * np.stack([forces @ MOTOR_PLACES[:, 1], -forces @ MOTOR_PLACES[:, 0]], axis=1)
-
-
-def bin_means(
-    along: np.ndarray, edges: Sequence[float], columns: Mapping[str, np.ndarray], fewest: int
-) -> list[dict[str, float]]:
-    """Return the means of columns in bins of one quantity, and the number of rows of each bin.
-
-    Args:
-        along: Quantity (T,) that is binned.
-        edges: Edges of the bins.
-        columns: Columns (T,) by name.
-        fewest: Minimum number of rows of a bin.
-    """
-    rows = []
-    for low, high in pairwise(edges):
-        its = (along >= low) & (along < high)
-        if its.sum() >= fewest:
-            means = {name: float(values[its].mean()) for name, values in columns.items()}
-            rows.append({**means, "count": int(its.sum())})
-    return rows
-
-
-def root_mean_square(values: np.ndarray) -> np.ndarray:
-    """Return the root of the mean square along the first axis."""
-    return np.asarray(np.sqrt(np.mean(np.square(values), axis=0)))

@@ -86,7 +86,7 @@ def find_all_windows(flight: NanobenchFlight, count: int) -> FlightWindows:
     return FlightWindows(flight, pick_evenly(np.arange(len(flight.time) - HORIZON), count))
 
 
-def predict_constant(windows: FlightWindows) -> np.ndarray:
+def predict_constant_windows(windows: FlightWindows) -> np.ndarray:
     """Predict that the state stays as it is, (W, HORIZON, 13)."""
     flight, starts = windows.flight, windows.starts
     state = np.concatenate(

@@ -27,7 +27,7 @@ from bulletuav.reproduction.nanobench_rollouts import (
     compute_channel_errors,
     find_flown_windows,
     hold_rates,
-    predict_constant,
+    predict_constant_windows,
     predict_windows,
 )
 from bulletuav.reproduction.table import Settings
@@ -158,7 +158,7 @@ def test_items_are_picked_evenly():
 def test_errors_are_norms_and_the_angle_between_attitudes():
     flight = made_up_flight(speed=0.0)
     windows = FlightWindows(flight, np.array([60, 100]))
-    states = predict_constant(windows)
+    states = predict_constant_windows(windows)
     states[..., :3] += [0.3, 0.0, 0.4]
     states[..., 7:10] += [0.0, 1.2, 0.5]
     states[..., 3:7] = -(Rotation.from_rotvec([0.0, 2.5, 0.0])).as_quat()
@@ -171,7 +171,7 @@ def test_a_flight_by_the_law_itself_is_predicted_and_naive_is_not():
     windows = find_flown_windows(made_up_flight(), 10)
     trim = DroneTrim(gain=GAIN)
     given = compute_channel_errors(windows, predict_windows(windows, AIRFRAME, trim, True))
-    naive = compute_channel_errors(windows, predict_constant(windows))
+    naive = compute_channel_errors(windows, predict_constant_windows(windows))
     assert naive[:, -1, 0].min() > 0.1
     # The drag of the body, which the made-up flight lacks, remains
     assert given[:, -1, 0].max() < 0.004

@@ -26,7 +26,7 @@ from bulletuav.reproduction.nanobench_rollouts import (
     find_all_windows,
     find_flown_windows,
     hold_rates,
-    predict_constant,
+    predict_constant_windows,
     predict_windows,
 )
 from bulletuav.reproduction.table import Data, Reproduction, Row, Settings, TableOutcome
@@ -105,7 +105,9 @@ def _compute(settings: Settings) -> TableOutcome:
     kept = _find_windows(tested, count)
     errors, explained = _predict_all(kept, airframe, trim, settings)
     everything = [find_all_windows(flight, count) for flight in (*training, *tested)]
-    errors[NAIVE] = np.stack([_mean_error(one, predict_constant(one)) for one in everything])
+    errors[NAIVE] = np.stack(
+        [_mean_error(one, predict_constant_windows(one)) for one in everything]
+    )
     means = {name: _sum_up(values).mean(axis=0) for name, values in errors.items()}
     settings.progress(1.0)
     notes = (
@@ -116,7 +118,7 @@ def _compute(settings: Settings) -> TableOutcome:
         f"naive errors are {_list_ratios(means[FLOWN_NAIVE])} of the published ones.",
         f"Predictions use {sum(len(one.starts) for one in kept)} windows in the air of every "
         f"second flight ({len(kept)}). Gain of the thrust, tilt of the markers and torque of an "
-        "asymmetric drone are calibrated on the other flights, once for all; drag and voltage map "
+        "asymmetric drone are calibrated on all other flights together; drag and voltage map "
         "of the airframe were fitted to those flights earlier. The paper's physics model has fixed "
         "coefficients, so the rows without calibration are next to it. The best published number "
         "of a column may be that of the naive model.",
@@ -221,7 +223,7 @@ def _predict_all(
         ):
             states = predict_windows(windows, model, its, is_guided)
             errors.setdefault(name, []).append(_mean_error(windows, states, its))
-        naive = _mean_error(windows, predict_constant(windows))
+        naive = _mean_error(windows, predict_constant_windows(windows))
         errors.setdefault(FLOWN_NAIVE, []).append(naive)
         rates, starts = windows.flight.rates, windows.starts
         # The last states are those of the free prediction
@@ -274,7 +276,7 @@ def find_best_model(channel: int, column: int) -> str:
 
 
 DIFFERENT_TORQUE = (
-    "the torque of the drone differs between flights, but is calibrated once for all: with the "
+    "the torque of the drone differs between flights, but is calibrated for all of them together: with the "
     "torque of each flight at least three quarters of the difference disappear"
 )
 """Explanation of errors for which it is true"""
