@@ -276,8 +276,8 @@ def find_best_model(channel: int, column: int) -> str:
 
 
 DIFFERENT_TORQUE = (
-    "the torque of the drone differs between flights, but is calibrated for all of them together: with the "
-    "torque of each flight at least three quarters of the difference disappear"
+    "the torque of the drone differs between flights, but one torque is calibrated for all: with "
+    "the torque of each flight at least three quarters of the difference disappear"
 )
 """Explanation of errors for which it is true"""
 
