@@ -6,21 +6,12 @@ import numpy as np
 
 from bulletuav.compiled.kernel import allocating, func, in_memory, kernel
 from bulletuav.dynamics.base import Air, surroundings
-from bulletuav.dynamics.integration import (
-    Speeds,
-    Stages,
-    State,
-    lag_stages,
-    rk4,
-    slope_of,
-    turn_rotors,
-)
-from bulletuav.geometry.rotation import Quat4, Quat4Like, Vec3, axes, dot, plus, point, product
+from bulletuav.dynamics.integration import Speeds, Stages, lag_stages, rk4, turn_rotors
+from bulletuav.geometry.rotation import Quat4, Quat4Like, Vec3, point, product
 from bulletuav.vehicle.parameters import ParameterRow
-from bulletuav.vehicle.rotors import Rotors, lag_decay, rotor_speed_after, rotor_wrench
+from bulletuav.vehicle.rotors import lag_decay, rotor_speed_after, rotor_wrench
 from bulletuav.vehicle.swarm import Swarm, get_state, set_state
 from bulletuav.vehicle.wakes import Wakes, sum_wakes
-from bulletuav.vehicle.wrench import Surroundings
 
 STATE_SIZE = 13
 """Size of a state: position, quaternion, velocity, rates"""
@@ -110,56 +101,6 @@ def _measured_rotors(
     )
 
 
-@func
-def _with_lift(around: Surroundings, state: State, thrust: float, lift: float) -> Surroundings:
-    """Return surroundings with the thrust that rotors gain by their motion across their axes.
-
-    The gain, in thrusts, is `lift` times the square of the velocity in the rotor plane.
-    """
-    wind, surface, gravity, force, torque = around
-    up = axes(state[1])[2]
-    climb = dot(up, state[2])
-    gain = lift * thrust * (dot(state[2], state[2]) - climb * climb)
-    return wind, surface, gravity, plus(force, gain, up), torque
-
-
-@kernel
-def compute_accelerations(
-    states: np.ndarray,
-    speed: np.ndarray,
-    parameters: np.ndarray,
-    gravity: float,
-    lift: float,
-    acceleration: np.ndarray,
-) -> None:
-    """Compute the accelerations of a drone in states with given rotor speeds, without wind.
-
-    Args:
-        states: Positions, quaternions, velocities and rates, (K, 13).
-        speed: Rotor speeds, (K, R), rad/s.
-        parameters: Row of `PARAMETERS`, (1, 1).
-        gravity: Gravitational acceleration, m/s^2, downwards.
-        lift: See `roll_out`.
-        acceleration: Output: accelerations, world axes, (K, 3), m/s^2.
-    """
-    row = parameters[0, 0]
-    none = (0.0, 0.0, 0.0)
-    for k in range(states.shape[0]):
-        one = states[k]
-        state = (
-            (one[0], one[1], one[2]),
-            (one[3], one[4], one[5], one[6]),
-            (one[7], one[8], one[9]),
-            (one[10], one[11], one[12]),
-        )
-        rotors: Rotors = rotor_wrench(speed[k], 0.0, row)
-        still = (none, 0.0, gravity, none, none)
-        around = _with_lift(still, state, rotors[0], lift)
-        slope = slope_of(state, speed[k], rotors, around, 0, row)
-        for axis in range(3):
-            acceleration[k, axis] = slope[2][axis]
-
-
 @allocating
 def roll_out(
     legs: Legs,
@@ -174,7 +115,6 @@ def roll_out(
     dt: float,
     wakes: Wakes,
     states: np.ndarray,
-    lift: float = 0.0,
 ) -> None:
     """Simulate legs of a log from measured states, with the commands or speeds of the log.
 
@@ -191,8 +131,6 @@ def roll_out(
         dt: Time step, s.
         wakes: Work arrays for the wakes of N drones.
         states: Output: predicted positions, quaternions, velocities and rates, (K, num_states, 13).
-        lift: Translational lift: thrust that rotors gain, as a fraction of the thrust, divided by
-            the square of the velocity in the rotor plane, s^2/m^2.
     """
     num_drones = parameters.shape[1]
     num_rotors = command.shape[1]
@@ -251,8 +189,6 @@ def roll_out(
                 )
             before = get_state(swarm, 0, 0)
             around = surroundings(air, 0, 0, wakes.felt[0])
-            if lift != 0.0:
-                around = _with_lift(around, before, rotors[0][0], lift)
             state = rk4(before, speeds, rotors, dt, around, row)
             if legs.guided:
                 measured = _measured_attitude(track.quaternion, now + 1, tilt)

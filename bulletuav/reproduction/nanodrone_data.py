@@ -1,11 +1,12 @@
 """Flights of the nano-drone identification benchmark of IDSIA, processed as its authors did.
 
 The flights are those of a Crazyflie 2.1 Brushless in a motion capture system, at 100 Hz. The
-squares are read as the authors processed them. Of the other flights, the repository holds the
-recordings, and `process_recording` repeats the processing: spikes of the motor speeds are removed,
-motors are aligned with the acceleration, the flight is aligned with a simulated one, whose mean
-replaces the mean of every state (also of velocities, rates and quaternions), and all signals pass
-low-pass filters without phase, which look ahead.
+squares are read as the authors processed them. Of the other training flights, the commit holds the
+recordings only, and of the held-out ones recordings and aligned flights without the filters.
+`process_recording` repeats the processing of both: spikes of the motor speeds are removed, motors
+are aligned with the acceleration, the flight is aligned with a simulated one, whose mean replaces
+the mean of every state (also of velocities, rates and quaternions), and all signals pass low-pass
+filters without phase, which look ahead.
 
 References:
     R. Busetto et al., Nonlinear system identification for a nano-drone benchmark, Control
@@ -20,11 +21,11 @@ from pathlib import Path
 
 import numpy as np
 from scipy.signal import butter, correlate, sosfiltfilt
+from scipy.spatial.transform import Rotation
 
 from bulletuav.errors import require_file
 from bulletuav.geometry.quaternions import rotate_vectors
 from bulletuav.identification.errors import conjugate
-from bulletuav.reproduction.rotation_vectors import from_rotation_vectors
 
 SAMPLE_RATE = 100.0
 """Rate of the samples, Hz"""
@@ -59,7 +60,10 @@ CUTOFFS = {"position": 10.0, "velocity": 18.0, "attitude": 12.0, "rates": 18.0, 
 """Cut-off frequencies of the filters, Hz"""
 MIN_SAMPLES = 100
 """Minimum number of samples of a flight: the longest prediction, and margins of the filters"""
-
+MAX_GAPS = 0.1
+"""Maximum fraction of a column that is filled in; the benchmark's files need 0.006"""
+MIN_QUATERNION = 0.5
+"""Minimum length of a recorded quaternion"""
 
 REMEDY = "fetch the commit that the table names"
 """What to do about files that are missing or damaged"""
@@ -127,27 +131,34 @@ def process_recording(
         The flight.
 
     Raises:
-        ValueError: If columns are missing or not finite.
+        ValueError: If columns are missing, damaged or constant, or the flights do not overlap.
     """
     state = _read_state(columns, path)
     acceleration = _stack(columns, ACCELERATIONS, path)
     erpm = _stack(columns, [f"m{k}_erpm" for k in (1, 2, 3, 4)], path)
-    speed = ERPM * remove_speed_spikes(erpm)
+    speed = ERPM * remove_speed_spikes(erpm, path)
     body = rotate_vectors(conjugate(state[:, 3:7]), acceleration)
     speed = align_speeds(speed, body[:, 2])
     reference = _read_state(simulated, source)
     setpoints = [
         _stack(one, ["x_r"], file)[:, 0] for one, file in ((simulated, source), (columns, path))
     ]
+    for setpoint, file in zip(setpoints, (source, path), strict=True):
+        _require_changes(setpoint, "x_r", file)
     lag = find_lag(*setpoints)
     kept = slice(max(0, -lag), min(len(state), len(reference) - lag))
+    if kept.stop - kept.start < MIN_SAMPLES:
+        raise ValueError(
+            f"{path} overlaps with {source} in {max(kept.stop - kept.start, 0)} samples by x_r: "
+            f"at least {MIN_SAMPLES} are needed; {REMEDY}"
+        )
     state, speed = state[kept], speed[kept]
     state = state - (state - reference[kept.start + lag : kept.stop + lag]).mean(axis=0)
     vectors = rotation_vectors_of(state[:, 3:7])
     state = np.concatenate(
         [
             smooth_flight(state[:, :3], CUTOFFS["position"]),
-            from_rotation_vectors(smooth_flight(vectors, CUTOFFS["attitude"])),
+            Rotation.from_rotvec(smooth_flight(vectors, CUTOFFS["attitude"])).as_quat(),
             smooth_flight(state[:, 7:10], CUTOFFS["velocity"]),
             smooth_flight(state[:, 10:], CUTOFFS["rates"]),
         ],
@@ -169,20 +180,31 @@ def rotation_vectors_of(quaternions: np.ndarray) -> np.ndarray:
     return vectors
 
 
-def remove_speed_spikes(speed: np.ndarray) -> np.ndarray:
+def remove_speed_spikes(speed: np.ndarray, path: Path) -> np.ndarray:
     """Replace spikes of any motor by the next speeds of all motors.
 
     Args:
         speed: Speeds (n, 4), 1/min electrical.
+        path: File, for messages.
 
     Returns:
         The speeds without spikes. A jump removes the samples before, at and after it.
+
+    Raises:
+        ValueError: If there are too many spikes, or the speed of a motor never changes.
     """
+    for k, motor in enumerate(speed.T):
+        _require_changes(motor, f"m{k + 1}_erpm", path)
     jumps = np.abs(np.diff(speed, axis=0)).max(axis=1) > MAX_ERPM_JUMP
     bad = np.abs(speed).max(axis=1) > MAX_ERPM
     bad[:-1] |= jumps
     bad[1:] |= jumps
     bad[:-2] |= jumps[1:]
+    if bad.mean() > MAX_GAPS:
+        raise ValueError(
+            f"{path}: {100 * bad.mean():.0f} % of the motor speeds are spikes, such as "
+            f"{np.abs(speed).max():g} 1/min: {REMEDY}"
+        )
     return fill_from_next(np.where(bad[:, None], np.nan, speed))
 
 
@@ -226,10 +248,23 @@ def fill_from_next(values: np.ndarray) -> np.ndarray:
     return filled
 
 
+def _require_changes(values: np.ndarray, name: str, path: Path) -> None:
+    """Raise ValueError for a column that never changes: nothing can be aligned with it."""
+    if np.ptp(values) == 0.0:
+        raise ValueError(f"{path}: column {name} is {values[0]:g} everywhere: {REMEDY}")
+
+
 def _read_state(columns: dict[str, np.ndarray], path: Path) -> np.ndarray:
     """Return the states (n, 13)."""
     names = (*POSITIONS, *QUATERNIONS, *VELOCITIES, *RATES_BODY)
-    return _stack(columns, names, path)
+    state = _stack(columns, names, path)
+    length = np.linalg.norm(state[:, 3:7], axis=1)
+    if length.min() < MIN_QUATERNION:
+        raise ValueError(
+            f"{path}: the quaternion of row {length.argmin()} has length {length.min():g}, "
+            f"not 1: {REMEDY}"
+        )
+    return state
 
 
 def _stack(columns: dict[str, np.ndarray], names: Sequence[str], path: Path) -> np.ndarray:
@@ -237,13 +272,30 @@ def _stack(columns: dict[str, np.ndarray], names: Sequence[str], path: Path) -> 
     missing = [name for name in names if name not in columns]
     if missing:
         raise ValueError(f"{path} lacks the column {missing[0]}: {REMEDY}")
-    values = fill_from_next(np.stack([columns[name].astype(float) for name in names], axis=1))
+    values = np.stack([_to_numbers(columns[name], name, path) for name in names], axis=1)
     if len(values) < MIN_SAMPLES:
         raise ValueError(f"{path} has {len(values)} rows: at least {MIN_SAMPLES} are needed")
-    if not np.isfinite(values).all():
-        bad = names[int(np.argmin(np.isfinite(values).all(axis=0)))]
-        raise ValueError(f"{path}: column {bad} is not finite: {REMEDY}")
-    return values
+    gaps = np.isnan(values).mean(axis=0)
+    if gaps.max() > MAX_GAPS:
+        name = names[int(gaps.argmax())]
+        raise ValueError(f"{path}: {100 * gaps.max():.0f} % of column {name} are empty: {REMEDY}")
+    return fill_from_next(values)
+
+
+def _to_numbers(cells: np.ndarray, name: str, path: Path) -> np.ndarray:
+    """Convert a column of numbers or of text; empty cells and None are NaN."""
+    found = np.empty(len(cells))
+    for row, cell in enumerate(cells):
+        try:
+            found[row] = np.nan if cell in ("", None) else float(cell)
+        except (ValueError, TypeError):
+            raise ValueError(
+                f"{path}: row {row} of column {name} is {cell!r}, no number: {REMEDY}"
+            ) from None
+    if np.isinf(found).any():
+        row = int(np.isinf(found).argmax())
+        raise ValueError(f"{path}: row {row} of column {name} is {found[row]}: {REMEDY}")
+    return found
 
 
 def _read_parquet(path: Path) -> dict[str, np.ndarray]:
@@ -257,15 +309,13 @@ def _read_parquet(path: Path) -> dict[str, np.ndarray]:
 
 
 def _read_csv(path: Path) -> dict[str, np.ndarray]:
-    """Read the columns of numbers of a CSV file; empty cells are NaN."""
-    with open(path, newline="", encoding="utf-8") as file:
-        rows = list(csv.reader(file))
+    """Read the columns of a CSV file, as text."""
+    try:
+        with open(path, newline="", encoding="utf-8") as file:
+            rows = list(csv.reader(file))
+    except (UnicodeDecodeError, csv.Error):
+        raise ValueError(f"{path} is no table in text: {REMEDY}") from None
     if not rows or any(len(row) != len(rows[0]) for row in rows):
         raise ValueError(f"{path} is no table of equal rows: {REMEDY}")
-    found = {}
-    for name, cells in zip(rows[0], zip(*rows[1:], strict=True), strict=False):
-        try:
-            found[name] = np.array([float(cell) if cell else np.nan for cell in cells])
-        except ValueError:
-            continue  # flags such as True
-    return found
+    cells = np.array(rows[1:], object).reshape(-1, len(rows[0]))
+    return dict(zip(rows[0], cells.T, strict=True))

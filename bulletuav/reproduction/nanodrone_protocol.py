@@ -128,8 +128,13 @@ def summarise_errors(errors: np.ndarray) -> np.ndarray:
     Returns:
         A row for position, velocity, rotation and rates.
     """
-    mean = np.nanmean(errors, axis=0)
-    return np.stack([mean[0], mean[9], mean[49], mean.sum(axis=0)], axis=-1)
+    return pick_columns(np.nanmean(errors, axis=0))
+
+
+def pick_columns(means: np.ndarray) -> np.ndarray:
+    """Return the columns of the table (..., 4, 4) of mean errors (..., 50, 4)."""
+    kept = [means[..., h - 1, :] for h in (1, 10, NUM_STEPS)]
+    return np.stack([*kept, means.sum(axis=-2)], axis=-1)
 
 
 def predict_constant(windows: NanodroneWindows) -> np.ndarray:

@@ -6,23 +6,23 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 from matplotlib.figure import Figure
+from scipy.signal import welch
 
-from bulletuav.analysis.metrics.estimates import mean_estimate
+from bulletuav.analysis.metrics.estimates import RESAMPLES, TAIL
 from bulletuav.geometry.quaternions import rotate_vectors
 from bulletuav.identification.errors import conjugate
 from bulletuav.report.figures import blank_figure
 from bulletuav.reproduction.nanodrone_data import (
     HELD_OUT,
+    SAMPLE_RATE,
     TRAINING,
     NanodroneFlight,
     read_nanodrone_flight,
 )
 from bulletuav.reproduction.nanodrone_model import (
     AIRFRAME_CONSTANTS,
-    BIASES,
-    CLOCKS,
+    DELAY,
     FIT_HORIZONS,
-    GYRO,
     INERTIA,
     FitObjective,
     NanodroneModel,
@@ -35,6 +35,7 @@ from bulletuav.reproduction.nanodrone_protocol import (
     NanodroneWindows,
     compute_state_errors,
     cut_windows,
+    pick_columns,
     predict_benchmark_physics,
     predict_constant,
     score_runs_apart,
@@ -42,6 +43,7 @@ from bulletuav.reproduction.nanodrone_protocol import (
     summarise_errors,
 )
 from bulletuav.reproduction.table import Data, Reproduction, Row, Settings, TableOutcome
+from bulletuav.vehicle.airframe import Airframe
 from bulletuav.vehicle.airframes import load_airframe
 
 QUANTITIES = ("position", "velocity", "rotation", "rates")
@@ -64,13 +66,8 @@ over 50 samples (results/model_comparison.ipynb of the repository at commit 2d92
 """
 TOLERANCE = 5e-5
 """Half a unit of the last published digit"""
-CONSTANT_SETS = {
-    "airframe": (*AIRFRAME_CONSTANTS, "delay"),
-    "and biases": (*BIASES, *GYRO),
-    "and clocks": CLOCKS,
-    "and lift": ("lift",),
-}
-"""Constants that each candidate adds to those of the previous one"""
+FITTED = (*AIRFRAME_CONSTANTS, DELAY)
+"""Names of the fitted constants"""
 OBJECTIVES = (FitObjective(0.3, 1.0, 0.0), FitObjective(0.3, 3.0, 0.3), FitObjective(0.2, 5.0, 0.6))
 SELECTION_WINDOWS, SELECTION_TESTS, FIT_WINDOWS = 30, 200, 60
 """Numbers of windows of each flight: in fits of the selection, in their tests, in final fits"""
@@ -81,21 +78,25 @@ MAX_LOG_SCORE = 7.0
 """Logarithm of the score of candidates that diverge"""
 FREE, SHIPPED = "inertia free (effective)", "inertia as shipped"
 """Names of the two models that are fitted"""
+SLOW, FAST = (0.3, 2.0), (2.0, 7.0)
+"""Frequencies at which torques are compared with changes of the body rates, Hz"""
+SPECTRUM_SAMPLES = 512
+"""Number of samples of a section of the spectra"""
+MIN_INERTIA_RATIO = 2.0
+"""Ratio of the fitted to the shipped inertia above which it explains errors of the latter"""
 ALL_HORIZONS = np.arange(1, NUM_STEPS + 1)
 
 
 class Selection(NamedTuple):
-    """Constants and objective of a fit, chosen on training flights.
+    """Objective of a fit, chosen on training flights.
 
     Attributes:
-        names: Names of the constants.
         objective: Weights of the errors.
-        scores: Score of every candidate; see `select_model`.
+        scores: Score of every candidate; see `select_objective`.
     """
 
-    names: tuple[str, ...]
     objective: FitObjective
-    scores: dict[str, float]
+    scores: dict[FitObjective, float]
 
 
 def published_errors(name: str) -> np.ndarray:
@@ -121,10 +122,10 @@ def measure_unit(windows: NanodroneWindows) -> np.ndarray:
     return np.asarray(errors.mean(axis=0))
 
 
-def select_model(
+def select_objective(
     training: dict[str, list[NanodroneFlight]], settings: Settings, progress: Callable[[], None]
 ) -> Selection:
-    """Choose constants and objective by leaving out one training trajectory after the other.
+    """Choose the objective by leaving out one training trajectory after the other.
 
     The score of a candidate is the geometric mean, over the 16 columns and the trajectories, of
     its errors on the trajectory that was left out, divided by those of the benchmark's physical
@@ -138,45 +139,36 @@ def select_model(
     Returns:
         The candidate with the lowest score.
     """
-    logs: dict[tuple[str, FitObjective], list[float]] = {}
+    logs: dict[FitObjective, list[float]] = {}
     for left in training:
         others = [one for name, flights in training.items() if name != left for one in flights]
         windows = spread_windows(others, settings.count(SELECTION_WINDOWS, 4))
         tests = spread_windows(training[left], settings.count(SELECTION_TESTS, 4))
         unit = measure_unit(windows)
         plain = summarise_errors(score_runs_apart(predict_benchmark_physics(tests), tests))
+        start = NanodroneModel(load_airframe("cf21B"))
         for objective in OBJECTIVES:
-            model = NanodroneModel(load_airframe("cf21B"), {})
-            names: tuple[str, ...] = ()
-            for name, added in CONSTANT_SETS.items():
-                names += added
-                model = fit_nanodrone_model(
-                    windows, model, names, objective, unit, settings.count(SELECTION_ITERATIONS, 2)
-                )
-                with np.errstate(all="ignore"):  # candidates may diverge
-                    predicted = predict_states(model, tests, ALL_HORIZONS)
-                    errors = summarise_errors(score_runs_apart(predicted, tests))
-                    ratio = float(np.nan_to_num(np.log(errors / plain).mean(), nan=np.inf))
-                logs.setdefault((name, objective), []).append(ratio)
-                progress()
+            model = fit_nanodrone_model(
+                windows, start, FITTED, objective, unit, settings.count(SELECTION_ITERATIONS, 2)
+            )
+            with np.errstate(all="ignore"):  # candidates may diverge
+                predicted = predict_states(model, tests, ALL_HORIZONS)
+                errors = summarise_errors(score_runs_apart(predicted, tests))
+                ratio = float(np.nan_to_num(np.log(errors / plain).mean(), nan=np.inf))
+            logs.setdefault(objective, []).append(ratio)
+            progress()
     scores = {
         key: float(np.exp(min(float(np.mean(one)), MAX_LOG_SCORE))) for key, one in logs.items()
     }
-    name, objective = min(scores, key=lambda key: scores[key])
-    names = ()
-    for one, added in CONSTANT_SETS.items():
-        names += added
-        if one == name:
-            break
-    listed = {f"{one}, {tuple(weights)}": score for (one, weights), score in scores.items()}
-    return Selection(names, objective, listed)
+    return Selection(min(scores, key=lambda key: scores[key]), scores)
 
 
 def estimate_intervals(errors: np.ndarray, run: np.ndarray) -> np.ndarray:
     """Estimate 95 % intervals of mean errors, by a bootstrap over blocks of windows.
 
     Args:
-        errors: Errors of K windows, (K, 50, 4); NaN for windows that are left out.
+        errors: Errors of K windows, or differences of two models' errors, (K, 50, 4); NaN for
+            windows that are left out.
         run: Index of the flight of each window, (K,).
 
     Returns:
@@ -185,13 +177,32 @@ def estimate_intervals(errors: np.ndarray, run: np.ndarray) -> np.ndarray:
     blocks = []
     for k in range(run.max() + 1):
         own = errors[run == k]
-        count = max(len(own) // BLOCK_WINDOWS, 1)
-        blocks += [summarise_errors(part) for part in np.array_split(own[: 1 - NUM_STEPS], count)]
-    found = np.empty((4, 4, 2))
-    for i, j in np.ndindex(4, 4):
-        interval = mean_estimate([float(block[i, j]) for block in blocks])
-        found[i, j] = interval.low, interval.high
-    return found
+        blocks += np.array_split(own, max(len(own) // BLOCK_WINDOWS, 1))
+    totals = np.stack([np.nansum(block, axis=0) for block in blocks])
+    counts = np.stack([np.isfinite(block).sum(axis=0) for block in blocks])
+    even = np.full(len(blocks), 1.0 / len(blocks))
+    weights = np.random.default_rng(0).multinomial(len(blocks), even, RESAMPLES)
+    means = np.tensordot(weights, totals, 1) / np.tensordot(weights, counts, 1)
+    return np.moveaxis(np.quantile(pick_columns(means), [TAIL, 1.0 - TAIL], axis=0), 0, -1)
+
+
+def compare_intervals(errors: np.ndarray, physics: np.ndarray, run: np.ndarray) -> np.ndarray:
+    """Estimate intervals of errors for their comparison with the best published ones.
+
+    Where the physical model is the best published one, the interval is that of the difference to
+    its errors in the same windows, which does not depend on how difficult the windows are.
+
+    Args:
+        errors: Errors of K windows, (K, 50, 4); NaN for windows that are left out.
+        physics: Errors of the benchmark's physical model.
+        run: Index of the flight of each window, (K,).
+
+    Returns:
+        Lower and upper ends, (4, 4, 2).
+    """
+    paired = summarise_errors(physics)[..., None] + estimate_intervals(errors - physics, run)
+    is_best = published_errors("physics") == best_published()
+    return np.where(is_best[..., None], paired, estimate_intervals(errors, run))
 
 
 def make_rows(
@@ -200,14 +211,26 @@ def make_rows(
     published: np.ndarray,
     goal: Literal["equal", "lower"],
     whys: dict[tuple[int, int], str],
+    ends: np.ndarray | None = None,
 ) -> list[Row]:
-    """Return the 16 rows of a model, with explanations of some by quantity and column."""
+    """Return the 16 rows of a model.
+
+    Args:
+        label: Name of the model.
+        ours: Errors, (4, 4).
+        published: Published errors, (4, 4).
+        goal: Goal of the rows.
+        whys: Explanations of some rows, by quantity and column.
+        ends: Intervals, (4, 4, 2); None for errors of models without fitted constants.
+    """
     return [
         Row(
             f"{label}: {QUANTITIES[i]}, {COLUMNS_OF_TABLE[j]}",
             float(ours[i, j]),
             float(published[i, j]),
             UNITS[i],
+            low=None if ends is None else float(ends[i, j, 0]),
+            high=None if ends is None else float(ends[i, j, 1]),
             tolerance=TOLERANCE,
             goal=goal,
             why=whys.get((i, j), ""),
@@ -234,6 +257,34 @@ def measure_drag_excess(predicted: np.ndarray, windows: NanodroneWindows) -> flo
     moving = rotate_vectors(conjugate(start[:, 3:7]), start[:, 7:10])
     x, y = moving[:, :2].ravel(), off[:, :2].ravel()
     return float(-(x @ y) / (x @ x) / ((at + 1) * STEP))
+
+
+def measure_torque_ratio(
+    flights: Sequence[NanodroneFlight], airframe: Airframe, band: tuple[float, float]
+) -> np.ndarray:
+    """Measure the ratio of torques to changes of the body rates at some frequencies.
+
+    It is the inertia if the thrusts of the rotors alone turn the body.
+
+    Args:
+        flights: Flights.
+        airframe: The airframe, which gives the torques of measured rotor speeds.
+        band: Lowest and highest frequency, Hz.
+
+    Returns:
+        Root of the ratio of the powers in the band, about x and y, (2,), kg m^2.
+    """
+    powers = np.zeros((2, 2))
+    for flight in flights:
+        thrust = airframe.thrust_coefficient * flight.speed**2
+        arms = np.array([(y, -x) for x, y, _ in airframe.rotors])
+        changes = np.gradient(flight.state[:, 10:12], STEP, axis=0)
+        for k, series in enumerate((thrust @ arms, changes)):
+            length = min(SPECTRUM_SAMPLES, len(series))
+            frequency, density = welch(series, SAMPLE_RATE, nperseg=length, axis=0)
+            powers[k] += density[(frequency >= band[0]) & (frequency <= band[1])].sum(axis=0)
+    ratio: np.ndarray = np.sqrt(powers[0] / powers[1])
+    return ratio
 
 
 def draw_errors(curves: dict[str, np.ndarray], bars: dict[str, np.ndarray]) -> Figure:
@@ -293,21 +344,21 @@ def _compute(settings: Settings) -> TableOutcome:
     folder = DATA.find(settings.data, "idsia")
     training = {name: read_flights(folder, names) for name, names in TRAINING.items()}
     done = 0
-    expected = len(TRAINING) * len(OBJECTIVES) * len(CONSTANT_SETS) + 6
+    expected = len(TRAINING) * len(OBJECTIVES) + 6
 
     def advance() -> None:
         nonlocal done
         done += 1
         settings.progress(min(done / expected, 1.0))
 
-    selection = select_model(training, settings, advance)
+    selection = select_objective(training, settings, advance)
     flights = [flight for own in training.values() for flight in own]
     windows = spread_windows(flights, settings.count(FIT_WINDOWS, 4))
     unit = measure_unit(windows)
-    start = NanodroneModel(load_airframe("cf21B"), {})
+    start = NanodroneModel(load_airframe("cf21B"))
     models = {}
     for label, kept in ((FREE, ()), (SHIPPED, INERTIA)):
-        names = [name for name in selection.names if name not in kept]
+        names = [name for name in FITTED if name not in kept]
         models[label] = fit_nanodrone_model(
             windows, start, names, selection.objective, unit, settings.count(FIT_ITERATIONS, 2)
         )
@@ -315,110 +366,168 @@ def _compute(settings: Settings) -> TableOutcome:
     held_out = read_flights(folder, HELD_OUT)
     full = max(len(flight.state) for flight in held_out) - NUM_STEPS
     tests = cut_windows(held_out, count=settings.count(full, 2 * NUM_STEPS))
+    plain = predict_benchmark_physics(tests)
+    physics = score_windows(plain, tests)
     errors, curves, bars, apart, excess = {}, {}, {}, {}, {}
-    for label, predict in (
-        *((label, _predictor(model)) for label, model in models.items()),
-        ("naive", predict_constant),
-        ("physics", predict_benchmark_physics),
+    for label, predicted in (
+        *((label, predict_states(model, tests, ALL_HORIZONS)) for label, model in models.items()),
+        ("naive", predict_constant(tests)),
+        ("physics", plain),
     ):
-        predicted = predict(tests)
         found = score_windows(predicted, tests)
         errors[label] = summarise_errors(found)
         curves[label] = np.nanmean(found, axis=0)
         apart[label] = summarise_errors(score_runs_apart(predicted, tests))
         if label in models:
-            bars[label] = estimate_intervals(found, tests.run)
-            excess[label] = measure_drag_excess(predicted, tests)
+            bars[label] = compare_intervals(found, physics, tests.run)
+            own = predict_states(models[label], windows, ALL_HORIZONS)
+            excess[label] = (
+                measure_drag_excess(predicted, tests),
+                measure_drag_excess(own, windows),
+            )
         advance()
-    excess["training flights"] = measure_drag_excess(_predictor(models[FREE])(windows), windows)
-    return _report(selection, models, errors, apart, draw_errors(curves, bars), bars, excess)
-
-
-def _predictor(model: NanodroneModel) -> Callable[[NanodroneWindows], np.ndarray]:
-    return lambda windows: predict_states(model, windows, ALL_HORIZONS)
-
-
-def _report(
-    selection: Selection,
-    models: dict[str, NanodroneModel],
-    errors: dict[str, np.ndarray],
-    apart: dict[str, np.ndarray],
-    figure: Figure,
-    bars: dict[str, np.ndarray],
-    excess: dict[str, float],
-) -> TableOutcome:
-    """Make the rows, the notes and the further values."""
-    free, shipped = FREE, SHIPPED
-    own, airframe = models[free].airframe.inertia, models[shipped].airframe.inertia
-    ratios = [a / b for a, b in zip(own, airframe, strict=True)]
-    best = best_published()
-    # Explanations are measured: they are given where the measurement supports them
-    drag, inertia = {}, {}
-    if excess[free] > max(2 * excess["training flights"], 0.0):
-        drag = dict.fromkeys(
-            ((1, 0), (1, 1)),
-            "the drag that training flights give is too strong on the held-out trajectory: "
-            f"velocities in the rotor plane decay faster than measured by {excess[free]:.2f} 1/s, "
-            f"against {excess['training flights']:.2f} 1/s on the training flights",
-        )
-    if min(ratios[:2]) > 2.0:
-        inertia = dict.fromkeys(
-            ((2, 0), (2, 1), (3, 0), (3, 1)),
-            "measured rotor speeds ask for more angular acceleration than the drone shows: the "
-            f"free inertia is {ratios[0]:.1f} and {ratios[1]:.1f} times the shipped one",
-        )
-    rows = [
-        *make_rows(free, errors[free], best, "lower", drag),
-        *make_rows(shipped, errors[shipped], best, "lower", drag | inertia),
-        *make_rows("naive", errors["naive"], published_errors("naive"), "equal", {}),
-        *make_rows("physics", errors["physics"], published_errors("physics"), "equal", {}),
-    ]
-    good = ("within", "better")
-    counts = {
-        label: sum(row.verdict in good for row in rows if row.name.startswith(label))
-        for label in errors
+    airframe = models[FREE].airframe
+    inertia = {
+        name: {
+            f"{low:g} to {high:g} Hz": measure_torque_ratio(own, airframe, (low, high))
+            for low, high in (SLOW, FAST)
+        }
+        for name, own in training.items()
     }
-    same = counts["naive"] + counts["physics"]
-    plain = np.stack([errors[name] for name in ("naive", "physics")])
-    known = np.stack([published_errors(name) for name in ("naive", "physics")])
-    beyond = (np.abs(plain - known) - TOLERANCE) / known
-    notes = [
-        f"{free}: first or tied in {counts[free]} of 16 columns, with {len(selection.names)} "
-        f"fitted constants; {shipped}: in {counts[shipped]}.",
-        f"The fitted inertia is effective, {ratios[0]:.1f} and {ratios[1]:.1f} times the shipped "
-        "one about x and y: rotor speeds that are sampled at 100 Hz carry torque that the body "
-        "does not show.",
-        f"The naive and the physical model, computed again: {same} of 32 columns agree to the "
-        f"digit, the others within {100 * beyond.max():.1g} % more. The published errors are of "
-        "files in Git LFS; ours are of the recordings in the repository, processed as the authors "
-        "describe.",
-        "Constants and objective were chosen by leaving out one training trajectory after the "
-        "other; the held-out flights were predicted once, by the chosen fit.",
-        "Errors are those of the benchmark's notebook, which compares the last 49 windows before "
-        "the end of a run with states of the next run; `extra` has the errors without these.",
-        "Errors on the fixed windows are exact; the intervals in `extra` and in the picture, by a "
-        "bootstrap over blocks of 5 s, show how they would vary with other flights of this kind.",
-        "The authors' processing shifts every state, also velocities, rates and quaternions, to "
-        "the mean of a simulated flight, and filters without phase.",
+    whys = {
+        label: explain_drag(*excess[label]) | (explain_inertia(models) if label == SHIPPED else {})
+        for label in models
+    }
+    best = best_published()
+    rows = [
+        *(
+            row
+            for label in models
+            for row in make_rows(label, errors[label], best, "lower", whys[label], bars[label])
+        ),
+        *(
+            row
+            for label in ("naive", "physics")
+            for row in make_rows(label, errors[label], published_errors(label), "equal", {})
+        ),
     ]
     extra = {
-        "selection": selection.scores,
+        "selection": {str(tuple(one)): score for one, score in selection.scores.items()},
         "constants": {
             label: {
-                **{
-                    name: one.get(model.airframe)
-                    for name, one in AIRFRAME_CONSTANTS.items()
-                    if name in selection.names
-                },
-                **model.measurement,
+                **{name: one.get(model.airframe) for name, one in AIRFRAME_CONSTANTS.items()},
+                DELAY: model.delay,
             }
             for label, model in models.items()
         },
         "errors_runs_apart": apart,
-        "intervals": bars,
         "drag_excess": excess,
+        "torque_over_rate_change": inertia,
     }
-    return TableOutcome(rows, figure, notes, extra)
+    return TableOutcome(rows, draw_errors(curves, bars), describe(rows, models, inertia), extra)
+
+
+def compare_inertia(models: dict[str, NanodroneModel]) -> tuple[float, float]:
+    """Return the ratios of the fitted inertia to the shipped one, about x and y."""
+    fitted, shipped = models[FREE].airframe.inertia, models[SHIPPED].airframe.inertia
+    return fitted[0] / shipped[0], fitted[1] / shipped[1]
+
+
+def explain_drag(excess: float, usual: float) -> dict[tuple[int, int], str]:
+    """Explain errors of early velocities by drag, if a measurement supports it.
+
+    Args:
+        excess: Excess of the drag on the held-out flights, 1/s; see `measure_drag_excess`.
+        usual: Excess on the training flights, 1/s.
+    """
+    if excess <= max(2 * usual, 0.0):
+        return {}
+    return dict.fromkeys(
+        ((1, 0), (1, 1)),
+        "the drag that training flights give is too strong on the held-out trajectory: velocities "
+        f"in the rotor plane decay faster than measured by {excess:.2f} 1/s, against {usual:.2f} "
+        "1/s on the training flights",
+    )
+
+
+def explain_inertia(models: dict[str, NanodroneModel]) -> dict[tuple[int, int], str]:
+    """Explain early errors with the shipped inertia, if the free one is far from it."""
+    x, y = compare_inertia(models)
+    if min(x, y) <= MIN_INERTIA_RATIO:
+        return {}
+    damping = models[SHIPPED].airframe.damping
+    return dict.fromkeys(
+        ((2, 0), (2, 1), (3, 0), (3, 1)),
+        "thrusts of the measured rotor speeds turn the model more than the drone: the fit with "
+        f"free inertia takes {x:.1f} and {y:.1f} times the shipped one, and that with the shipped "
+        f"one damps the body rates by {damping[0]:.0f} and {damping[1]:.0f} 1/s instead",
+    )
+
+
+def describe(
+    rows: Sequence[Row],
+    models: dict[str, NanodroneModel],
+    inertia: dict[str, dict[str, np.ndarray]],
+) -> list[str]:
+    """Describe the result and the protocol.
+
+    Args:
+        rows: The rows.
+        models: The fitted models by name.
+        inertia: Ratios of `measure_torque_ratio` by trajectory and band.
+    """
+
+    def count(label: str, verdict: str) -> int:
+        return sum(row.verdict == verdict for row in rows if row.name.startswith(label))
+
+    x, y = compare_inertia(models)
+    shipped = models[SHIPPED].airframe
+    relative = {
+        name: [one / np.array(shipped.inertia[:2]) for one in bands.values()]
+        for name, bands in inertia.items()
+    }
+    spectra = "; ".join(
+        f"{name} {slow[0]:.1f} and {slow[1]:.1f} at {SLOW[0]:g} to {SLOW[1]:g} Hz, "
+        f"{fast[0]:.1f} and {fast[1]:.1f} at {FAST[0]:g} to {FAST[1]:g} Hz"
+        for name, (slow, fast) in relative.items()
+    )
+    plain = [row for row in rows if row.goal == "equal"]
+    beyond = max(
+        (abs(row.ours - row.published) - row.tolerance) / row.published
+        for row in plain
+        if row.published is not None
+    )
+    return [
+        *(
+            f"{label}: better in {count(label, 'better')}, within in {count(label, 'within')} of "
+            f"16 columns, with {number} fitted constants."
+            for label, number in ((FREE, len(FITTED)), (SHIPPED, len(FITTED) - len(INERTIA)))
+        ),
+        f"The fitted inertia is effective: {x:.1f} and {y:.1f} times the shipped one about x and "
+        "y. The ratio of torques of the measured speeds to changes of the body rates, in units of "
+        f"the shipped inertia about x and y, is: {spectra}. The excess is at low frequencies, "
+        "where the controller holds the drone against moments that the model lacks.",
+        f"With the inertia as shipped, the fit damps the body rates by {shipped.damping[0]:.0f} "
+        f"and {shipped.damping[1]:.0f} 1/s about x and y; with free inertia by "
+        f"{models[FREE].airframe.damping[0]:.1f} and {models[FREE].airframe.damping[1]:.1f} 1/s.",
+        "The naive and the physical model, computed again: "
+        f"{sum(row.verdict == 'within' for row in plain)} of 32 columns agree to the digit, the "
+        f"others within {100 * beyond:.1g} % more. Our processing of the recordings is not the "
+        "cause: the commit has the authors' aligned held-out flights (data/real/processed/test), "
+        "which lack only the filters. Filtered, their states are ours to 1e-14, and give the same "
+        "naive errors, such as 29.0899 rad/s for the sum of rates (published: 29.0866). Their "
+        "rotor speeds are ours, but for run 4, where they are 2 samples earlier: with them, "
+        "velocities of the physical model sum up to 10.548 m/s (here: 10.624, published: 10.623). "
+        "The published errors are of other files, which the repository has as pointers of Git LFS.",
+        "The objective was chosen by leaving out one training trajectory after the other; the "
+        "held-out flights were predicted once, by the chosen fit.",
+        "Errors are those of the benchmark's notebook, which compares the last 49 windows before "
+        "the end of a run with states of the next run; `extra` has the errors without these.",
+        "Intervals are of a bootstrap over blocks of 5 s. Where the physical model is the best "
+        "published one, they are of the difference to its errors in the same windows.",
+        "The authors' processing shifts every state, also velocities, rates and quaternions, to "
+        "the mean of a simulated flight, and filters without phase.",
+    ]
 
 
 DATA = Data(
@@ -441,7 +550,7 @@ REPRODUCTION = Reproduction(
         "constants stand next to the best published error of each column, of physical, residual, "
         "hybrid and recurrent models. The naive and the physical model are computed again."
     ),
-    minutes=2,
+    minutes=1,
     compute=_compute,
     data=DATA,
 )
