@@ -79,9 +79,15 @@ def _describe_origin(result: Identification) -> str:
             if is_identified
         )
     logs = ", ".join(item.part.flight.log.path.name for item in result.fitted)
-    text = f"Fitted by bulletuav identify: {fitted}. Logs: {logs}. See report.md."
+    speeds = " with measured rotor speeds" if has_measured_speeds(result) else ""
+    text = f"Fitted by bulletuav identify: {fitted}. Logs{speeds}: {logs}. See report.md."
     # XML forbids two hyphens in a comment
     return text.replace("--", "-")
+
+
+def has_measured_speeds(result: Identification) -> bool:
+    """Return whether the rotor speeds of the logs were measured, not commanded."""
+    return result.fitted[0].part.flight.measured
 
 
 def _set_numbers(root: ElementTree.Element, airframe: Airframe) -> None:
@@ -178,6 +184,7 @@ def summarize(result: Identification) -> dict[str, Any]:
         "airframe": result.before.name,
         "level": LEVEL,
         "window": result.window,
+        "measured": has_measured_speeds(result),
         "constants": constants,
         "errors": errors,
         "logs": [*_describe_logs("fitted", result.fitted), *_describe_logs("kept", result.kept)],
@@ -215,11 +222,12 @@ def format_report(result: Identification) -> str:
     """Format the report in Markdown: constants, prediction errors, and logs."""
     table = summarize(result)
     window = result.window
+    motors = "measured speeds" if table["measured"] else "commands"
     lines = [
         f"# {result.before.name}, fitted to {len({row['log'] for row in table['logs']})} log(s)",
         "",
         f"Intervals are of {100 * LEVEL:.0f} %. Mass: {result.airframe.mass:g} kg, as given: "
-        "forces and inertia scale with it.",
+        f"forces and inertia scale with it. Motors: {motors}.",
         "",
         "| constant | unit | before | after | interval |",
         "|---|---|---|---|---|",
@@ -256,10 +264,10 @@ def format_report(result: Identification) -> str:
         "",
         "## Logs",
         "",
-        "Delays of commands and gyroscope against the attitude, which were compensated. Tilt: of "
+        f"Delays of {motors} and gyroscope against the attitude, which were compensated. Tilt: of "
         "the body whose attitude was measured. Gain: thrust relative to that of all logs.",
         "",
-        "| log | use | windows | commands, ms | gyro, ms | tilt x, y, deg | gain | filled in |",
+        f"| log | use | windows | {motors}, ms | gyro, ms | tilt x, y, deg | gain | filled in |",
         "|---|---|---|---|---|---|---|---|",
     ]
     for row in table["logs"]:

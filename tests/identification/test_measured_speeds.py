@@ -13,6 +13,7 @@ from bulletuav.identification.flight import prepare_log
 from bulletuav.identification.identify import identify
 from bulletuav.identification.logs import Log
 from bulletuav.identification.rollout import simulate_rotors
+from bulletuav.identification.write import format_report, summarize, write_urdf
 from bulletuav.vehicle.parameters import parameter_rows
 
 TRUE = load_airframe("cf2x")
@@ -42,7 +43,7 @@ def log(tmp_path_factory):
     return flown.write_example_log(tmp_path_factory.mktemp("measured") / "flight.csv", rows)
 
 
-def test_constants_come_back_whatever_the_lag_of_the_airframe(log):
+def test_constants_come_back_whatever_the_lag_of_the_airframe(log, tmp_path):
     found = identify([log], WRONG_LAG, fit=["thrust", "inertia_x"], measured=True)
     names = [one.constant.name for one in found.estimates]
     assert names == ["thrust_coefficient", "inertia_x"]
@@ -57,6 +58,15 @@ def test_constants_come_back_whatever_the_lag_of_the_airframe(log):
     commanded = identify([log], WRONG_LAG, fit=["thrust", "inertia_x"])
     rates = [np.abs(one.kept[0].after.rotation[..., 3:]).mean() for one in (found, commanded)]
     assert rates[0] < 0.8 * rates[1]
+    # The files say which of the two the numbers are
+    for one, measured in ((found, True), (commanded, False)):
+        assert summarize(one)["measured"] is measured
+        report, urdf = format_report(one), write_urdf(one, tmp_path).read_text()
+        assert ("Delays of measured speeds and gyroscope" in report) is measured
+        assert ("| measured speeds, ms |" in report) is measured
+        assert ("Delays of commands and gyroscope" in report) is not measured
+        assert ("Logs with measured rotor speeds: flight.csv" in urdf) is measured
+        assert ("Logs: flight.csv" in urdf) is not measured
 
 
 def test_measured_speeds_are_interpolated():
