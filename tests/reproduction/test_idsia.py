@@ -167,6 +167,8 @@ def test_intervals_contain_the_mean_of_all_windows():
 
 def test_blocks_of_equal_errors_have_intervals_without_width():
     errors = np.ones((2000, 50, 4)) * [1.0, 2.0, 3.0, 4.0]
+    # Windows that are left out do not lower the mean
+    errors[-49:, 40:] = np.nan
     ends = idsia.estimate_intervals(errors, np.repeat([0, 1], 1000))
     np.testing.assert_allclose(ends[..., 0], protocol.summarise_errors(errors))
     np.testing.assert_allclose(ends[..., 1], protocol.summarise_errors(errors))
@@ -361,11 +363,27 @@ def test_fit_recovers_known_constants():
     predicted = predict_states(found, windows, np.array([50]))
     errors = protocol.compute_state_errors(predicted[:, 0], windows.state[:, 50])
     assert errors.max() < 0.02
-    # Without the delay among the names it stays as it is
-    fixed = fit_nanodrone_model(
-        windows, NanodroneModel(DRONE, 0.01), names[:1], FitObjective(0.3, 1.0, 0.0), unit, 5
-    )
-    assert fixed.delay == 0.01
+    # Without the delay among the names it stays as it is, and fits begin at the initial one
+    late = NanodroneModel(DRONE, 0.013)
+    for some, iterations in ((names[:1], 5), (names, 1)):
+        kept = fit_nanodrone_model(
+            windows, late, some, FitObjective(0.3, 1.0, 0.0), unit, iterations
+        )
+        assert kept.delay == pytest.approx(0.013)
+
+
+def test_errors_without_weight_do_not_count():
+    true = dataclasses.replace(DRONE, inertia=(1.2 * DRONE.inertia[0], *DRONE.inertia[1:]))
+    windows = protocol.cut_windows([make_flight(1, airframe=true)], 6)
+    # Rates that turn less than the attitude would ask for more inertia
+    windows.state[:, 1:, 10:] *= 0.7
+    unit = np.ones((len(FIT_HORIZONS), 4)) * [1e9, 0.05, 0.02, 1e9]
+    start, names = NanodroneModel(DRONE), ["inertia_x"]
+    by_rotation = fit_nanodrone_model(windows, start, names, FitObjective(0.3, 0, 0), unit, 10)
+    assert by_rotation.airframe.inertia[0] == pytest.approx(true.inertia[0], rel=0.01)
+    unit[:, 3] = 0.1
+    by_rates = fit_nanodrone_model(windows, start, names, FitObjective(0.3, 0, 0), unit, 10)
+    assert by_rates.airframe.inertia[0] > 1.05 * true.inertia[0]
 
 
 def write_processed(path, flight):
@@ -438,36 +456,38 @@ def test_processing_halves_signals_at_the_cut_off_frequencies(tmp_path):
     """A Butterworth filter that runs forwards and backwards has a gain of 1/2 there."""
     time = 0.01 * np.arange(600)
 
-    def tone(quantity):
-        return np.sin(2 * np.pi * data.CUTOFFS[quantity] * time)
+    def tone(frequency):
+        return np.sin(2 * np.pi * frequency * time)
 
     vectors = np.zeros((600, 3))
-    vectors[:, 1] = 0.1 * tone("attitude")
+    vectors[:, 1] = 0.1 * tone(12)
     state = np.concatenate(
         [
-            np.tile(0.2 * tone("position"), (3, 1)).T,
+            0.2 * np.stack([tone(10), tone(5), tone(10)], axis=1),
             Rotation.from_rotvec(vectors).as_quat(),
-            np.tile(tone("velocity"), (3, 1)).T,
-            np.tile(tone("rates"), (3, 1)).T,
+            np.tile(tone(18), (3, 1)).T,
+            np.tile(tone(18), (3, 1)).T,
         ],
         axis=1,
     )
-    speed = 1500.0 + np.tile(10.0 * tone("speed"), (4, 1)).T
+    speed = 1500.0 + np.tile(10.0 * tone(20), (4, 1)).T
     columns = make_columns(data.NanodroneFlight("tones", state, speed))
     simulated = dict(columns)
     simulated["vx"] = np.full(600, 0.7)
     found = data.process_recording(columns, tmp_path / "tones", simulated, tmp_path / "simulated")
     turned = Rotation.from_quat(found.state[:, 3:7]).as_rotvec()
 
-    def amplitude(values, quantity):
-        wave = np.exp(2j * np.pi * data.CUTOFFS[quantity] * time)
+    def amplitude(values, frequency):
+        wave = np.exp(2j * np.pi * frequency * time)
         return abs((wave * values)[100:-100].mean()) * 2
 
-    assert amplitude(found.state[:, 1], "position") == pytest.approx(0.1, rel=0.01)
-    assert amplitude(turned[:, 1], "attitude") == pytest.approx(0.05, rel=0.01)
-    assert amplitude(found.state[:, 7] - 0.7, "velocity") == pytest.approx(0.5, rel=0.01)
-    assert amplitude(found.state[:, 12], "rates") == pytest.approx(0.5, rel=0.01)
-    assert amplitude(found.speed[:, 0] - 1500.0, "speed") == pytest.approx(5.0, rel=0.01)
+    assert amplitude(found.state[:, 0], 10) == pytest.approx(0.1, rel=0.01)
+    # Order 4: 1 / (1 + (tan(0.05 pi) / tan(0.1 pi)) ** 8)
+    assert amplitude(found.state[:, 1], 5) == pytest.approx(0.2 * 0.99682, rel=1e-3)
+    assert amplitude(turned[:, 1], 12) == pytest.approx(0.05, rel=0.01)
+    assert amplitude(found.state[:, 7] - 0.7, 18) == pytest.approx(0.5, rel=0.01)
+    assert amplitude(found.state[:, 12], 18) == pytest.approx(0.5, rel=0.01)
+    assert amplitude(found.speed[:, 0] - 1500.0, 20) == pytest.approx(5.0, rel=0.01)
     # The mean of the simulated velocity replaces that of the recording, which is 0
     assert found.state[100:-100, 7].mean() == pytest.approx(0.7, abs=1e-3)
 
@@ -589,6 +609,8 @@ def test_table_from_simulated_flights(folder, monkeypatch):
             assert row.ours <= row.high * (1 + 1e-9)
     excess = outcome.extra["drag_excess"]
     assert excess["inertia as shipped"] != excess["inertia free (effective)"]
+    for held_out, training in excess.values():
+        assert held_out != training
     assert any("with 2 fitted constants" in note for note in outcome.notes)
     shipped = outcome.extra["constants"]["inertia as shipped"]
     assert shipped.keys() >= {"thrust_coefficient", "inertia_x"}
