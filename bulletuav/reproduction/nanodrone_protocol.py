@@ -137,7 +137,7 @@ def pick_columns(means: np.ndarray) -> np.ndarray:
     return np.stack([*kept, means.sum(axis=-2)], axis=-1)
 
 
-def predict_constant(windows: NanodroneWindows) -> np.ndarray:
+def hold_state(windows: NanodroneWindows) -> np.ndarray:
     """Predict that the state remains as it is (the benchmark's naive model)."""
     return np.repeat(windows.state[:, :1], NUM_STEPS, axis=1)
 

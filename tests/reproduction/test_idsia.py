@@ -106,7 +106,7 @@ def test_errors_of_the_plain_models_in_steady_flight():
     windows = protocol.cut_windows([steady_flight()])
     assert windows.state.shape == (70, 51, 13)
     assert windows.speed.shape == (70, 50, 4)
-    errors = protocol.score_windows(protocol.predict_constant(windows), windows)
+    errors = protocol.score_windows(protocol.hold_state(windows), windows)
     # 1 m/s and 0.5 rad/s: 0.01 m and 0.005 rad a sample; 1 + ... + 50 = 1275
     np.testing.assert_allclose(
         protocol.summarise_errors(errors),
@@ -129,7 +129,7 @@ def test_physical_model_in_free_fall_and_at_its_maximum_thrust():
 def test_notebook_compares_across_runs():
     flights = [steady_flight(), steady_flight(velocity=(2.0, 0.0, 0.0))]
     windows = protocol.cut_windows(flights)
-    predicted = protocol.predict_constant(windows)
+    predicted = protocol.hold_state(windows)
     notebook = protocol.score_windows(predicted, windows)
     apart = protocol.score_runs_apart(predicted, windows)
     # The last windows of the first run meet the start of the second one; of the second, nothing

@@ -35,9 +35,9 @@ from bulletuav.reproduction.nanodrone_protocol import (
     NanodroneWindows,
     compute_state_errors,
     cut_windows,
+    hold_state,
     pick_columns,
     predict_benchmark_physics,
-    predict_constant,
     score_runs_apart,
     score_windows,
     summarise_errors,
@@ -371,7 +371,7 @@ def _compute(settings: Settings) -> TableOutcome:
     errors, curves, bars, apart, excess = {}, {}, {}, {}, {}
     for label, predicted in (
         *((label, predict_states(model, tests, ALL_HORIZONS)) for label, model in models.items()),
-        ("naive", predict_constant(tests)),
+        ("naive", hold_state(tests)),
         ("physics", plain),
     ):
         found = score_windows(predicted, tests)
@@ -424,7 +424,7 @@ def _compute(settings: Settings) -> TableOutcome:
         "drag_excess": excess,
         "torque_over_rate_change": inertia,
     }
-    return TableOutcome(rows, draw_errors(curves, bars), describe(rows, models, inertia), extra)
+    return TableOutcome(rows, draw_errors(curves, bars), make_notes(rows, models, inertia), extra)
 
 
 def compare_inertia(models: dict[str, NanodroneModel]) -> tuple[float, float]:
@@ -464,7 +464,7 @@ def explain_inertia(models: dict[str, NanodroneModel]) -> dict[tuple[int, int], 
     )
 
 
-def describe(
+def make_notes(
     rows: Sequence[Row],
     models: dict[str, NanodroneModel],
     inertia: dict[str, dict[str, np.ndarray]],
