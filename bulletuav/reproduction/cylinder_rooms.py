@@ -7,10 +7,11 @@ References:
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Literal, NamedTuple
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from bulletuav.envs.airspace import Airspace
 from bulletuav.policies.astar import plan_path
@@ -44,8 +45,8 @@ EPISODE = 15.0
 """Duration of a flight, s"""
 GRACE = 1.5
 """Time in which collisions do not count, s"""
-REACH_DISTANCE = 0.5
-"""Mean distance to the goal, over `REACH_TICKS`, at which it is reached, m"""
+REACH_DISTANCES = {"random": 0.5, "common": 1.0}
+"""Mean distance to the goal, over `REACH_TICKS`, at which it is reached, m, by rule of the goals"""
 REACH_TICKS = 5
 """Number of steps over which the distance is averaged"""
 FINAL = 1.0
@@ -85,6 +86,10 @@ GoalRule = Literal["random", "common"]
 DronePilot = Literal["orca", "paths"]
 """Pilots: policy `orca`; and `orca` along the shortest paths between the cylinders, by A*"""
 
+CylinderDynamics = Literal["rigid_body", "single_integrator"]
+"""Dynamics of drones: rigid bodies with lag and downwash, or velocities that are reached without
+lag"""
+
 
 class CylinderRoom(NamedTuple):
     """A room with drones and cylinders.
@@ -93,11 +98,13 @@ class CylinderRoom(NamedTuple):
         start: (N, 3) starts, m.
         goal: (N, 3) goals, m.
         cylinder: (K, 2) axes of the cylinders, m.
+        reach_distance: Distance to a goal at which it is reached, m.
     """
 
     start: np.ndarray
     goal: np.ndarray
     cylinder: np.ndarray
+    reach_distance: float = REACH_DISTANCES["random"]
 
 
 class CylinderFlights(NamedTuple):
@@ -127,8 +134,8 @@ def draw_cylinder_room(
 ) -> CylinderRoom:
     """Draw a room as QuadSwarm does: cylinders, starts and goals in the centres of cells of 1 m.
 
-    A common goal is in the free cell that is farthest from all cylinders. If there are more drones
-    than free cells, cells are used again, at other heights.
+    A common goal is in the centre of the largest free square, see `find_common_cell`. If there are
+    more drones than free cells, cells are used again, at other heights.
 
     Args:
         rng: Random generator.
@@ -152,9 +159,40 @@ def draw_cylinder_room(
     start = _draw_places(rng, free, num_drones)
     if goals == "random":
         return CylinderRoom(start, _draw_places(rng, free, num_drones), cylinder)
-    apart = np.linalg.norm(free[:, None] - cylinder, axis=-1).min(axis=1, initial=np.inf)
-    goal = np.array([*free[np.argmax(apart)], rng.uniform(*COMMON_HEIGHTS)])
-    return CylinderRoom(start, np.tile(goal, (num_drones, 1)), cylinder)
+    occupied = np.zeros(len(cells), dtype=bool)
+    occupied[order[:count]] = True
+    row, column = find_common_cell(occupied.reshape(NUM_CELLS, NUM_CELLS).T[::-1])
+    goal = np.array([axis[column], -axis[row], rng.uniform(*COMMON_HEIGHTS)])
+    goals_of_all = np.tile(goal, (num_drones, 1))
+    return CylinderRoom(start, goals_of_all, cylinder, REACH_DISTANCES[goals])
+
+
+def find_common_cell(occupied: np.ndarray) -> tuple[int, int]:
+    """Return the cell of a common goal: the centre of the largest free square of cells.
+
+    Of equally large squares it is the first by row, then column; of even ones, the centre is the
+    cell with the larger row and column. As in QuadSwarm's code, cells of the first row and the
+    first column count as free if they have a cylinder, and as occupied if not. The centre itself is
+    never there.
+
+    Args:
+        occupied: (R, C) bool, which cells have a cylinder. Row 0 has the largest y, column 0 the
+            smallest x.
+
+    Returns:
+        Row and column; (0, 0) if all cells but those of the first row and column are occupied.
+    """
+    free = ~occupied
+    free[0], free[1:, 0] = occupied[0], occupied[1:, 0]
+    for size in range(min(free.shape), 0, -1):
+        is_square = np.array(sliding_window_view(free, (size, size)).all(axis=(2, 3)))
+        if size == 1:
+            is_square[0], is_square[:, 0] = False, False
+        corners = np.argwhere(is_square)
+        if len(corners):
+            row, column = corners[0] + size // 2
+            return int(row), int(column)
+    return 0, 0
 
 
 def _draw_places(rng: np.random.Generator, free: np.ndarray, num_drones: int) -> np.ndarray:
@@ -178,9 +216,9 @@ def fly_cylinder_rooms(
     pilot: DronePilot,
     *,
     duration: float = EPISODE,
-    progress: Callable[[float], None] = lambda fraction: None,
+    dynamics: CylinderDynamics = "rigid_body",
 ) -> CylinderFlights:
-    """Fly Crazyflies with rigid-body dynamics, lag and downwash to their goals.
+    """Fly Crazyflies to their goals.
 
     The rooms are side by side in one airspace. Cylinders have no effect on the dynamics: a drone
     that touches one has collided, and flies on.
@@ -189,7 +227,7 @@ def fly_cylinder_rooms(
         rooms: W rooms with the same numbers of drones and of cylinders.
         pilot: Pilot of all drones.
         duration: Duration of the flights, s.
-        progress: Callback for the finished fraction.
+        dynamics: Dynamics of the drones.
 
     Returns:
         The results.
@@ -201,11 +239,11 @@ def fly_cylinder_rooms(
     airspace = Airspace(
         (start + origin).reshape(-1, 3),
         "cf2x",
-        dynamics="rigid_body",
+        dynamics=dynamics,
         physics_hz=PHYSICS_HZ,
         decision_hz=TICK_HZ,
-        rotor_speed="hover",
         max_speed=PILOT_SPEED,
+        rotor_speed="hover" if dynamics == "rigid_body" else 0.0,
     )
     paths = _plan_paths(rooms, start, goal) if pilot == "paths" else None
     target = np.ones(start.shape[:2], dtype=np.int64)
@@ -234,10 +272,10 @@ def fly_cylinder_rooms(
         if tick + 1 >= GRACE * TICK_HZ:
             collided = collided | (hit & ~hit_before)
         hit_before = hit
-        progress((tick + 1) / ticks)
     airspace.close()
-    window = np.lib.stride_tricks.sliding_window_view(distance, min(REACH_TICKS, ticks), axis=0)
-    reached = (window.mean(axis=-1) < REACH_DISTANCE).any(axis=0)
+    window = sliding_window_view(distance, min(REACH_TICKS, ticks), axis=0)
+    threshold = np.array([room.reach_distance for room in rooms])[:, None]
+    reached = (window.mean(axis=-1) < threshold).any(axis=0)
     final = distance[-round(FINAL * TICK_HZ) :].mean(axis=0)
     return CylinderFlights(reached, collided, final, length)
 

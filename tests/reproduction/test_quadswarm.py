@@ -10,6 +10,7 @@ from bulletuav.reproduction.cylinder_rooms import (
     MIN_HEIGHT_DIFFERENCE,
     CylinderRoom,
     draw_cylinder_room,
+    find_common_cell,
     find_cylinder_collisions,
     fly_cylinder_rooms,
 )
@@ -44,14 +45,63 @@ def test_more_drones_than_cells_are_above_each_other():
         assert (np.diff(heights) >= MIN_HEIGHT_DIFFERENCE).all()
 
 
-def test_a_common_goal_is_far_from_cylinders():
-    drawn = draw_cylinder_room(np.random.default_rng(3), 8, 0.6, "common")
-    assert (drawn.goal == drawn.goal[0]).all()
-    axis = np.arange(8) - 3.5
-    cells = np.array([(x, y) for x in axis for y in axis])
-    apart = np.linalg.norm(cells[:, None] - drawn.cylinder, axis=-1).min(axis=1)
-    here = np.linalg.norm(drawn.goal[0, :2] - drawn.cylinder, axis=-1).min()
-    assert here == pytest.approx(apart.max())
+@pytest.mark.parametrize(
+    ("rows", "cell"),
+    [
+        # Found by hand. Row 0 and column 0 count as free where they have a cylinder (#)
+        # 3 x 3 free cells at rows 2 to 4 and columns 1 to 3
+        ((".....", ".#..#", ".....", ".....", "....#"), (3, 2)),
+        # 2 x 2: the first by row at rows 1 and 2 and columns 2 and 3; its centre is the lower right
+        ((".....", ".#..#", ".....", "#....", "...#."), (2, 3)),
+        # Cylinders of row 0 make 2 x 3 free cells below to a square
+        ((".###.", ".....", ".....", "#####", "....."), (1, 2)),
+        # Single cells: free ones of row 0 and column 0 do not count
+        ((".....", ".####", ".####", ".##.#", ".####"), (3, 3)),
+        ((".....", ".####", ".####", ".####", ".####"), (0, 0)),
+        # Even size: 4 x 4
+        ((".....", ".....", ".....", ".....", "....."), (3, 3)),
+    ],
+)
+def test_a_common_goal_is_in_the_largest_free_square(rows, cell):
+    occupied = np.array([[mark == "#" for mark in row] for row in rows])
+    assert find_common_cell(occupied) == cell
+
+
+@pytest.mark.parametrize("density", [0.2, 0.6, 0.8])
+def test_a_common_goal_is_in_the_cell_of_its_map(density):
+    for seed in range(20):
+        drawn = draw_cylinder_room(np.random.default_rng(seed), 8, density, "common")
+        assert (drawn.goal == drawn.goal[0]).all()
+        # Rows run against y, columns along x
+        occupied = np.zeros((8, 8), dtype=bool)
+        for x, y in drawn.cylinder:
+            occupied[round(3.5 - y), round(x + 3.5)] = True
+        row, column = find_common_cell(occupied)
+        assert drawn.goal[0, :2].tolist() == [column - 3.5, 3.5 - row]
+        assert not occupied[row, column]
+
+
+def test_a_common_goal_is_reached_from_a_larger_distance():
+    random, common = (
+        draw_cylinder_room(np.random.default_rng(4), 2, 0.2, goals)
+        for goals in ("random", "common")
+    )
+    assert (random.reach_distance, common.reach_distance) == (0.5, 1.0)
+    # 4 m at 1 m/s: between 0.5 and 1 m are left after 3.4 s
+    near = room([(-2, 0, 1.5)], [(2, 0, 1.5)])
+    both = [near, near._replace(reach_distance=1.0)]
+    flights = fly_cylinder_rooms(both, "orca", duration=3.4)
+    assert flights.reached.tolist() == [[False], [True]]
+
+
+def test_single_integrators_reach_their_velocity_without_lag():
+    here = [room([(-2, 0, 1.5)], [(2, 0, 1.5)])]
+    length = [
+        fly_cylinder_rooms(here, "orca", duration=1.0, dynamics=dynamics).length[0, 0]
+        for dynamics in ("single_integrator", "rigid_body")
+    ]
+    assert length[0] == pytest.approx(1.0, abs=0.02)
+    assert length[1] < 0.95
 
 
 def test_rooms_are_those_of_their_seed():
@@ -138,6 +188,12 @@ def test_the_table_is_complete():
     published = [row for row in outcome.rows if row.published is not None]
     assert len(outcome.rows) == len(published) + cases
     assert {row.published for row in published} >= {0.97, 0.75, 0.99, 5.3, 7.1, 0.26}
+    for row in published:
+        assert row.is_comparable == ("A* paths" not in row.name)
+        assert row.low is None
+    # The explanation has the success of this run, and not of another
+    success = next(row for row in published if row.name.startswith("success, SBC"))
+    assert "have a success of 1.000 and a collision rate of 0.000" in success.why
     for values in outcome.extra.values():
         parts = values["success"] + values["collided"] + values["deadlock"]
         assert parts == pytest.approx(1.0)
