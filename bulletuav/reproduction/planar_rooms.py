@@ -8,7 +8,7 @@ References:
     baseline/orca/orca.cpp and results/singleintegrator/stats.py of its repository.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -109,11 +109,19 @@ class RoomFlights(NamedTuple):
 
     Attributes:
         reached: (W, N) bool, which robots are near their goals in the end.
-        collided: (W, N) bool, which robots overlapped another robot or an obstacle.
+        hit_robot: (W, N) bool, which robots overlapped another robot.
+        hit_square: (W, N) bool, which robots overlapped an obstacle.
     """
 
     reached: np.ndarray
-    collided: np.ndarray
+    hit_robot: np.ndarray
+    hit_square: np.ndarray
+
+    @property
+    def collided(self) -> np.ndarray:
+        """Which robots overlapped another robot or an obstacle, (W, N) bool."""
+        either: np.ndarray = self.hit_robot | self.hit_square
+        return either
 
     @property
     def success(self) -> np.ndarray:
@@ -135,7 +143,8 @@ def read_planar_room(path: Path) -> PlanarRoom:
         The room.
 
     Raises:
-        ValueError: If a value is missing or invalid.
+        ValueError: If a value is missing or invalid, or a start or a goal is not in the room or
+            within an obstacle.
     """
     with naming(path):
         data = read_yaml(path)
@@ -150,9 +159,31 @@ def read_planar_room(path: Path) -> PlanarRoom:
         plan = _entry(data, "map")
         size = _pair("dimensions", _entry(plan, "dimensions"), 1.0)
         squares = as_sequence("obstacles", _entry(plan, "obstacles"), most=MAX_ROBOTS)
-        square = [_pair(f"obstacle {k}", one) for k, one in enumerate(squares)]
-    start, goal = np.swapaxes(np.array(ends), 0, 1) + 0.5
-    return PlanarRoom(start, goal, np.array(square).reshape(-1, 2), np.array(size))
+        pairs = [_pair(f"obstacle {k}", one) for k, one in enumerate(squares)]
+        square = np.array(pairs).reshape(-1, 2)
+        start, goal = np.swapaxes(np.array(ends), 0, 1) + 0.5
+        for name, places in (("start", start), ("goal", goal)):
+            _check_free(name, places, square, size)
+    return PlanarRoom(start, goal, square, np.array(size))
+
+
+def _check_free(
+    name: str, places: np.ndarray, square: np.ndarray, size: tuple[float, float]
+) -> None:
+    """Check that places (N, 2) are in the room and not within its squares.
+
+    Raises:
+        ValueError: If one is not.
+    """
+    for k, place in enumerate(places):
+        here = f"{name} of robot {k} is at ({place[0]:g}, {place[1]:g}) m"
+        if not ((place >= 0.0) & (place <= size)).all():
+            raise ValueError(
+                f"{here}: a place in the room of {size[0]:g} m x {size[1]:g} m is needed"
+            )
+        inside = ((place > square) & (place < square + 1.0)).all(axis=1)
+        if inside.any():
+            raise ValueError(f"{here}, within obstacle {np.argmax(inside)}: a free place is needed")
 
 
 def _entry(value: Any, name: str) -> Any:
@@ -176,7 +207,6 @@ def fly_planar_rooms(
     pilot: RoomPilot = "plain",
     *,
     num_steps: int = NUM_STEPS,
-    progress: Callable[[float], None] = lambda fraction: None,
 ) -> RoomFlights:
     """Fly all robots to their goals, until all have arrived.
 
@@ -184,7 +214,6 @@ def fly_planar_rooms(
         rooms: W rooms with the same number of robots.
         pilot: Pilot of all robots.
         num_steps: Maximum number of steps.
-        progress: Callback for the finished fraction.
 
     Returns:
         The results.
@@ -195,9 +224,9 @@ def fly_planar_rooms(
     buildings = tabulate_buildings([Solids(boxes) for boxes in walls])
     paths = _plan_paths(rooms, position, goal) if pilot == "paths" else None
     choose = plain_orca_velocities if pilot == "plain" else orca_velocities
-    collided = np.zeros(position.shape[:2], dtype=bool)
-    for step in range(num_steps):
-        collided |= _find_collisions(position, rooms)
+    hit = np.zeros((2, *position.shape[:2]), dtype=bool)
+    for _ in range(num_steps):
+        hit |= _find_collisions(position, rooms)
         offset = goal - position
         distance = np.linalg.norm(offset, axis=-1, keepdims=True)
         if (distance <= ARRIVED).all():
@@ -207,10 +236,9 @@ def fly_planar_rooms(
             wanted, paths = _follow(position, velocity, paths)
         velocity = choose(_find_traffic(position, velocity, buildings), wanted, PARAMETERS)
         position = position + PERIOD * velocity
-        progress((step + 1) / num_steps)
-    collided |= _find_collisions(position, rooms)
+    hit |= _find_collisions(position, rooms)
     reached = np.linalg.norm(goal - position, axis=-1) <= GOAL_DISTANCE
-    return RoomFlights(reached, collided)
+    return RoomFlights(reached, *hit)
 
 
 def _raise(place: np.ndarray) -> np.ndarray:
@@ -331,14 +359,18 @@ def _follow(position: np.ndarray, velocity: np.ndarray, paths: _Paths) -> tuple[
 
 
 def _find_collisions(position: np.ndarray, rooms: Sequence[PlanarRoom]) -> np.ndarray:
-    """Return which robots overlap another robot or an obstacle, (W, N) bool; walls count not."""
+    """Return which robots overlap another robot, and which an obstacle: (2, W, N) bool.
+
+    As in the published statistics, walls are ignored.
+    """
     place = position[..., :2]
     apart = np.linalg.norm(place[:, None] - place[:, :, None], axis=-1)
     robots = np.arange(place.shape[1])
     apart[:, robots, robots] = np.inf
-    collided: np.ndarray = (apart < 2 * ROBOT_RADIUS - SLACK).any(axis=2)
-    for here, room, hit in zip(place, rooms, collided, strict=True):
+    robot = (apart < 2 * ROBOT_RADIUS - SLACK).any(axis=2)
+    square = np.zeros_like(robot)
+    for here, room, hit in zip(place, rooms, square, strict=True):
         nearest = np.clip(here[:, None], room.square, room.square + 1.0)
         distance = np.linalg.norm(here[:, None] - nearest, axis=-1)
         hit |= (distance < ROBOT_RADIUS - SLACK).any(axis=1)
-    return collided
+    return np.stack([robot, square])
