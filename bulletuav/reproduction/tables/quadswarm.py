@@ -27,17 +27,17 @@ PILOTS: dict[DronePilot, str] = {"orca": "policy orca", "paths": "orca on A* pat
 """Pilots, and their names"""
 Group = tuple[int, float, DronePilot]
 """Number of drones, density and pilot of the flights of a case"""
-METHODS = ("QuadSwarm's policy", "GLAS", "SBC")
+SWARM_METHODS = ("QuadSwarm's policy", "GLAS", "SBC")
 """Published methods"""
 PUBLISHED: tuple[tuple[str, float, str, float], ...] = (
-    ("success", 0.97, METHODS[0], 0.005),
-    ("success", 0.75, METHODS[1], 0.005),
-    ("success", 0.99, METHODS[2], 0.005),
-    ("collided", 0.03, METHODS[0], 0.005),
-    ("collided", 0.25, METHODS[1], 0.005),
-    ("collided", 0.01, METHODS[2], 0.005),
-    ("length", 5.3, METHODS[0], 0.05),
-    ("length", 7.1, METHODS[2], 0.05),
+    ("success", 0.97, SWARM_METHODS[0], 0.005),
+    ("success", 0.75, SWARM_METHODS[1], 0.005),
+    ("success", 0.99, SWARM_METHODS[2], 0.005),
+    ("collided", 0.03, SWARM_METHODS[0], 0.005),
+    ("collided", 0.25, SWARM_METHODS[1], 0.005),
+    ("collided", 0.01, SWARM_METHODS[2], 0.005),
+    ("length", 5.3, SWARM_METHODS[0], 0.05),
+    ("length", 7.1, SWARM_METHODS[2], 0.05),
 )
 """Numbers of Table I, 8 drones at a density of 20 %: measure, number, method, and half a unit of
 the last digit"""
@@ -87,9 +87,9 @@ def _compute(settings: Settings) -> TableOutcome:
     rows += [
         _row(measure, method, planned, "paths", number, half)
         for measure, number, method, half in PUBLISHED
-        if method == METHODS[0]
+        if method == SWARM_METHODS[0]
     ]
-    name, half = f"common goal, {METHODS[0]}", 0.005
+    name, half = f"common goal, {SWARM_METHODS[0]}", 0.005
     rows += [
         _row("distance", name, local[1:], "orca", COMMON_DISTANCE, half, reasons["distance"]),
         _row("distance", name, planned[1:], "paths", COMMON_DISTANCE, half),
