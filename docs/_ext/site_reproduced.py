@@ -71,7 +71,9 @@ def sections(record: dict[str, Any]) -> Iterator[str]:
     """Write the section of a table: publication, command, numbers, explanations, picture."""
     name, data, rows = record["table"], record["data"], rows_of_record(record)
     yield f"## {record['title']}"
-    yield f"[{record['publication']}](<{record['address']}>)"
+    # Parentheses would end the link
+    address = record["address"].replace("(", "%28").replace(")", "%29")
+    yield f"[{record['publication']}]({address})"
     yield record["about"]
     command = f"bulletuav reproduce {name}"
     if data is not None:

@@ -215,7 +215,7 @@ def _compute(settings: Settings) -> TableOutcome:
 
 
 NOTES = (
-    "Published numbers follow by hand from the code of version 0.3.1; the wheel on PyPI was run "
+    "Published numbers follow by hand from the code of UrbanMARL 0.3.1; the wheel on PyPI was run "
     "outside of this repository, and gives them.",
     "Defects that are not copied, beyond the explained rows: `seed` is accepted, but the city is "
     "that of seed 0 in all, and resets continue torch's global random numbers.",
