@@ -174,5 +174,4 @@ REPRODUCTION = Reproduction(
     ),
     minutes=7,
     compute=_compute,
-    is_parallel=True,
 )
