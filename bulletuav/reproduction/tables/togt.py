@@ -187,28 +187,18 @@ def _compute(settings: Settings) -> TableOutcome:
                 why = _explain(published, time.seconds, chosen.duration)
                 if iterations < MAX_ITERATIONS:  # a plan that is not optimised explains nothing
                     why = ""
-                rows.append(
+                rows += [
                     Row(
-                        f"{name}: planned",
-                        chosen.duration,
+                        f"{name}: {kind}",
+                        seconds,
                         time.seconds,
                         "s",
                         tolerance=0.0005,
                         goal="lower",
                         why=why,
                     )
-                )
-                rows.append(
-                    Row(
-                        f"{name}: flown",
-                        flight.time,
-                        time.seconds,
-                        "s",
-                        tolerance=0.0005,
-                        goal="lower",
-                        why=why,
-                    )
-                )
+                    for kind, seconds in (("planned", chosen.duration), ("flown", flight.time))
+                ]
                 rows.append(
                     Row(
                         f"{name}: flown over planned",
