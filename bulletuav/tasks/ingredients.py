@@ -254,30 +254,33 @@ class Bound:
         return out
 
     def fill(self, frame: Frame, out: np.ndarray) -> None:
-        """Evaluate the ingredient into an existing array; see `__call__`."""
+        """Evaluate the ingredient into an array of zeros; see `__call__`."""
         if self._run is None:
-            self._run = self._make_run(frame, out)
-            self._run(frame, out)
+            self._run = self._run_first(frame, out)
             self._check_first(frame, out)
-            return
-        self._run(frame, out)
+        else:
+            self._run(frame, out)
 
     def _check_first(self, frame: Frame, out: np.ndarray) -> None:
         """Check that the features of a block are finite; rewards are checked in every decision."""
         if self._labels is not None and not np.isfinite(out[frame.alive]).all():
             raise ValueError(f"{self._title} gave {shown(out)}: finite numbers are needed")
 
-    def _make_run(self, frame: Frame, out: np.ndarray) -> Run:
-        """Return the function that evaluates frames, compiled for the arrays of the first frame."""
+    def _run_first(self, frame: Frame, out: np.ndarray) -> Run:
+        """Evaluate the first frame, and return the function that evaluates the next ones.
+
+        A function that adds to `out` must run exactly once.
+        """
         if self.whole:
 
             def run(frame: Frame, out: np.ndarray) -> None:
                 out[...] = self._check_result(self._function(frame), out.shape)
 
+            run(frame, out)
             return run
         readers = [source.read for source in self.sources.values()]
         given = {name: source.read(frame) for name, source in self.sources.items()}
-        self.loop = self._make_loop(given, out)
+        self.loop = self._run_loop_first(given, out)
         return _join_readers(self.loop, readers)
 
     def _check_result(self, given: Any, shape: tuple[int, ...]) -> np.ndarray:
@@ -296,8 +299,8 @@ class Bound:
             raise ValueError(f"{self._title} gave {form}: an array {shape} of {what} is needed")
         return given
 
-    def _make_loop(self, given: Mapping[str, Any], out: np.ndarray) -> Callable[..., None]:
-        """Call the function once in plain Python, then compile its loop."""
+    def _run_loop_first(self, given: Mapping[str, Any], out: np.ndarray) -> Callable[..., None]:
+        """Call the function once in plain Python, then compile and run its loop."""
         forms: list[tuple[str, Form]] = []
         for name in self._names:
             if name in ("i", "out"):

@@ -91,6 +91,32 @@ CASES = {
 }
 
 
+@pytest.mark.filterwarnings("ignore:the package's policy")
+@pytest.mark.parametrize("task", shipped_tasks())
+def test_actions_depend_on_no_other_row_of_the_batch(task):
+    pilot = find_policy("trained", task)
+    aviary = bulletuav.Aviary(task, 3, **pilot.complete(task, {}))
+    policy, observations = pilot(aviary), aviary.reset(seeds=0)
+    rows = observations.reshape(-1, observations.shape[-1])
+    actions = policy._choose_rows(rows)
+    order = np.random.default_rng(0).permutation(len(rows))
+    np.testing.assert_array_equal(policy._choose_rows(rows[order]), actions[order])
+    for row, action in zip(rows, actions, strict=True):
+        np.testing.assert_array_equal(policy._choose_rows(row[None])[0], action)
+    aviary.close()
+
+
+# Features of users, of swarms, and none
+@pytest.mark.filterwarnings("ignore:the package's policy")
+@pytest.mark.parametrize("task", ["mec", "mec_advanced", "hover"])
+def test_flights_do_not_depend_on_the_number_of_workers(task):
+    flown = [
+        bulletuav.evaluate(task, "trained", 20, workers=count, dynamics="rigid_body", horizon=4)
+        for count in (1, 2)
+    ]
+    assert flown[0].hash == flown[1].hash
+
+
 @pytest.mark.parametrize("case", CASES)
 def test_every_algorithms_actor_is_flown_as_it_is_learned(case, tmp_path):
     """To 1e-6 of stable-baselines3's own deterministic actions, from the file of a checkpoint."""

@@ -6,6 +6,7 @@ from scipy.spatial.transform import Rotation
 
 import bulletuav
 from bulletuav.envs.env_spec import EnvSpec
+from bulletuav.envs.spaces import widest_action_space
 from bulletuav.sensors.base import Image, Label
 from bulletuav.sensors.suite import known_sensors, reading_labels
 from bulletuav.tasks.ingredients import block
@@ -167,21 +168,73 @@ SHOWN_TARGETS = (
 """Blocks that show targets"""
 
 
-@pytest.mark.parametrize("task", bulletuav.list_tasks())
-def test_every_block_can_be_asked_for_in_every_task_that_has_what_it_shows(task):
+def blocks_of(task):
+    """Names of all blocks that a task can show."""
     made = EnvSpec(task, 1, {}).task
     memory = made.memory()
-    blocks = tuple(
+    return tuple(
         name
         for name in VECTORS
         if (name not in SHOWN_MEMORY or SHOWN_MEMORY[name] in memory)
         and (name not in SHOWN_TARGETS or made.num_targets)
     )
-    uncertain = {"radio_loss": 0.1}
+
+
+@pytest.mark.parametrize("task", bulletuav.list_tasks())
+def test_every_block_can_be_asked_for_in_every_task_that_has_what_it_shows(task):
+    blocks, uncertain = blocks_of(task), {"radio_loss": 0.1}
     aviary = bulletuav.Aviary(task, observation=blocks, num_drones=2, randomization=uncertain)
     rows = aviary.reset(seeds=0)
     assert rows.shape[-1] == len(aviary.observer.labels)
     assert aviary.observer.space().contains(rows[0, 0])
+    aviary.close()
+
+
+def flown_rows(aviary, rows, world, decisions=5):
+    """Observations of a world: `rows` of its start, and those of the decisions that follow."""
+    size, seen = (aviary.num_drones, *widest_action_space(aviary.action).shape), [rows[world]]
+    for decision in range(decisions):
+        action = np.random.default_rng(decision).uniform(-0.5, 0.5, size)
+        step = aviary.step(np.broadcast_to(action, (aviary.num_worlds, *size)))
+        seen.append(step.observations[world])
+    return np.array(seen)
+
+
+@pytest.mark.parametrize("task", bulletuav.list_tasks())
+def test_blocks_do_not_depend_on_other_worlds_or_earlier_flights(task):
+    options = {
+        "observation": blocks_of(task),
+        "dynamics": "rigid_body",
+        "difficulty": "medium",
+        "randomization": {"radio_loss": 0.1},
+    }
+    batch, alone = (bulletuav.Aviary(task, count, **options) for count in (3, 1))
+    first = flown_rows(batch, batch.reset(seeds=7), 1)
+    again = flown_rows(batch, batch.reset(seeds=7), 1)
+    restarted = batch.reset(np.array([False, True, False]), [0, 8, 0])
+    for rows in (
+        again,
+        flown_rows(batch, restarted, 1),
+        flown_rows(alone, alone.reset(seeds=8), 0),
+    ):
+        different = sorted({batch.observer.labels[k].name for k in np.nonzero(rows != first)[-1]})
+        assert not different
+    batch.close()
+    alone.close()
+
+
+def test_a_block_that_adds_to_its_numbers_adds_once():
+    @block([Label("drones", "1", 0.0, 10.0)])
+    def count(all_present, out):
+        for k in range(len(all_present)):
+            if all_present[k]:
+                out[0] += 1.0
+
+    aviary = bulletuav.Aviary("crossing", 2, num_drones=3, observation=count, **CALM)
+    first = aviary.reset(seeds=0)
+    then = aviary.step(np.zeros((2, 3, 3))).observations
+    for rows in (first, then, aviary.reset(seeds=0)):
+        np.testing.assert_array_equal(rows, 3.0)
     aviary.close()
 
 

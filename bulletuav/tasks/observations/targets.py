@@ -154,9 +154,9 @@ def centroids(task: Any) -> Block:
 
 def _mean(place: np.ndarray, chosen: np.ndarray) -> np.ndarray:
     """Return the means (W, N, 2) of the positions (W, U, 2) that are `chosen` (W, N, U)."""
-    mean: np.ndarray = (
-        chosen.astype(float) @ place / np.maximum(chosen.sum(axis=-1, keepdims=True), 1)
-    )
+    # In the order of the targets; a product of matrices adds in another order on each processor
+    total = np.add.reduce(np.where(chosen[..., None], place[:, None], 0.0), axis=2)
+    mean: np.ndarray = total / np.maximum(chosen.sum(axis=-1, keepdims=True), 1)
     return mean
 
 
