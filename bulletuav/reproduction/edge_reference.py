@@ -4,7 +4,6 @@
 """
 
 import dataclasses
-import itertools
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
@@ -31,10 +30,10 @@ EDGE_SEED = 11_000_000
 """Seed of the first episode; no training and no other table of the package flies these seeds"""
 EDGE_CITIES: Mapping[str, Any] = {"num_layouts": 32, "city_seed": 1000}
 """Cities of the episodes; no training of the package flies over them"""
-LEARNED = "fast_ppo"
-"""Name in the table of the policy that is trained here"""
+LEARNED: Mapping[str, Mapping[str, Any]] = {"fast_ppo": {}, "mappo": {"critic": "state"}}
+"""Policies that are trained here, by name in the table: settings in addition to the defaults"""
 TRAINING_SEED = 0
-"""Seed of its training"""
+"""Seed of their training"""
 
 
 class EdgeScene(NamedTuple):
@@ -43,8 +42,8 @@ class EdgeScene(NamedTuple):
     Attributes:
         task: Name of the task.
         difficulty: Its difficulty.
-        policies: Policies that fly; `LEARNED` is trained first.
-        steps: Number of decisions of all drones in the training, at full size.
+        policies: Policies that fly; those of `LEARNED` are trained first.
+        steps: Number of decisions of all drones in each training, at full size.
     """
 
     task: str
@@ -164,22 +163,23 @@ def edge_estimates(flown: Evaluation) -> dict[str, Estimate]:
 
 
 def train_edge_policy(
-    scene: EdgeScene, steps: int, folder: Path, progress: Callable[[int], None]
+    scene: EdgeScene, policy: str, steps: int, folder: Path, progress: Callable[[int], None]
 ) -> None:
-    """Train a policy with the default settings of `fast_ppo` for the task.
+    """Train a policy by `fast_ppo`.
 
     Args:
         scene: The scene.
+        policy: Name of the policy, one of `LEARNED`, whose settings replace defaults of the task.
         steps: Number of decisions of all drones.
         folder: Folder of the run.
         progress: Called with the number of finished steps.
     """
     usual = default_run(scene.task, FAST)
     options = {**usual.options, "difficulty": scene.difficulty, "dynamics": "point_mass"}
+    model = {**usual.model, **LEARNED[policy]}
+    run = dataclasses.replace(usual, seed=TRAINING_SEED, steps=steps, options=options, model=model)
     # One evaluation of one episode, as the learning curve is not used
-    run = dataclasses.replace(
-        usual, seed=TRAINING_SEED, steps=steps, options=options, evaluations=1, episodes=1
-    )
+    run = dataclasses.replace(run, evaluations=1, episodes=1)
     train(run, folder, progress)
 
 
@@ -197,19 +197,22 @@ def fly_edge_scenes(
         The result of each policy in each of the dynamics.
     """
     episodes = settings.count(EDGE_EPISODES, least=MIN_EDGE_EPISODES)
-    parts = sum(len(scene.policies) * len(dynamics) + bool(scene.steps) for scene in scenes)
+    cases = [(scene, policy) for scene in scenes for policy in scene.policies]
+    parts = len(cases) * len(dynamics) + sum(policy in LEARNED for _, policy in cases)
     done = 0
     with tempfile.TemporaryDirectory() as folder:
-        for scene in scenes:
-            run = Path(folder) / scene.name
-            if scene.steps:
-                steps = settings.count(scene.steps)
-                train_edge_policy(scene, steps, run, partial(_report, settings, done, parts, steps))
+        for scene, policy in cases:
+            source = policy
+            if policy in LEARNED:
+                run, steps = Path(folder, f"{scene.name} {policy}"), settings.count(scene.steps)
+                report = partial(_report, settings, done, parts, steps)
+                train_edge_policy(scene, policy, steps, run, report)
+                source = str(run)
                 done += 1
-            for policy, name in itertools.product(scene.policies, dynamics):
+            for name in dynamics:
                 flown = evaluate(
                     scene.task,
-                    str(run) if policy == LEARNED else policy,
+                    source,
                     episodes,
                     EDGE_SEED,
                     workers=settings.workers,
