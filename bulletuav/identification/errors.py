@@ -9,10 +9,9 @@ from bulletuav.geometry.rotation import exp_map
 from bulletuav.identification.constants import Constant
 from bulletuav.identification.flight import LoggedFlight
 from bulletuav.identification.motor_gains import motor_speed_ratios
-from bulletuav.identification.rollout import STATE_SIZE, Legs, Track, roll_out, simulate_rotors
+from bulletuav.identification.rollout import Legs, Track, predict_legs, simulate_rotors
 from bulletuav.vehicle.airframe import STANDARD_GRAVITY, Airframe
 from bulletuav.vehicle.parameters import parameter_rows
-from bulletuav.vehicle.wakes import Wakes
 
 STATES_PER_LEG = 5
 """Number of predicted states of a leg that are compared with the log"""
@@ -135,22 +134,17 @@ def _make_inputs(
 
 def _predict(flight: LoggedFlight, track: Track, legs: Legs, inputs: _RotorInputs) -> np.ndarray:
     """Return the predicted states (L, num_states, 13) of the legs."""
-    states = np.empty((len(legs.start), legs.num_states, STATE_SIZE))
-    roll_out(
+    return predict_legs(
         legs,
         track,
         inputs.command,
         inputs.speed,
+        inputs.parameters,
+        flight.dt,
         tilt_quaternion(inputs.log_parameters),
         inputs.torque_bias,
-        inputs.parameters,
         inputs.hover_speed,
-        STANDARD_GRAVITY,
-        flight.dt,
-        Wakes.of(*inputs.parameters.shape),
-        states,
     )
-    return states
 
 
 def aligned_track(flight: LoggedFlight, log_parameters: np.ndarray) -> Track:

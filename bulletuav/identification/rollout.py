@@ -8,6 +8,7 @@ from bulletuav.compiled.kernel import allocating, func, in_memory, kernel
 from bulletuav.dynamics.base import Air, surroundings
 from bulletuav.dynamics.integration import Speeds, Stages, lag_stages, rk4, turn_rotors
 from bulletuav.geometry.rotation import Quat4, Quat4Like, Vec3, point, product
+from bulletuav.vehicle.airframe import STANDARD_GRAVITY
 from bulletuav.vehicle.parameters import ParameterRow
 from bulletuav.vehicle.rotors import lag_decay, rotor_speed_after, rotor_wrench
 from bulletuav.vehicle.swarm import Swarm, get_state, set_state
@@ -15,6 +16,8 @@ from bulletuav.vehicle.wakes import Wakes, sum_wakes
 
 STATE_SIZE = 13
 """Size of a state: position, quaternion, velocity, rates"""
+NO_TILT = (0.0, 0.0, 0.0, 1.0)
+"""Quaternion of a body that is measured without tilt"""
 
 
 class Track(NamedTuple):
@@ -202,3 +205,43 @@ def roll_out(
                     states[leg, pick, 10 + k] = state[3][k]
                 for k in range(4):
                     states[leg, pick, 3 + k] = state[1][k]
+
+
+def make_track(states: np.ndarray) -> Track:
+    """Return the measurements of a drone alone.
+
+    Args:
+        states: Measured states, (n, 13).
+    """
+    series = (*np.split(states, [3, 7, 10], axis=1), np.zeros((0, 3)))
+    return Track(*map(np.ascontiguousarray, series))
+
+
+def predict_legs(
+    legs: Legs,
+    track: Track,
+    command: np.ndarray,
+    speed: np.ndarray,
+    parameters: np.ndarray,
+    dt: float,
+    tilt: Quat4Like = NO_TILT,
+    torque_bias: Vec3 = (0.0, 0.0, 0.0),
+    thrust_speed: float = 0.0,
+) -> np.ndarray:
+    """Return the states (K, num_states, 13) of legs in standard gravity; see `roll_out`."""
+    states = np.empty((len(legs.start), legs.num_states, STATE_SIZE))
+    roll_out(
+        legs,
+        track,
+        command,
+        speed,
+        tilt,
+        torque_bias,
+        parameters,
+        thrust_speed,
+        STANDARD_GRAVITY,
+        dt,
+        Wakes.of(*parameters.shape),
+        states,
+    )
+    return states

@@ -1,4 +1,4 @@
-"""Shared parts of the readers of flight logs: checks and time series."""
+"""Shared parts of the readers of flight logs: checks, time series and errors of predictions."""
 
 import hashlib
 from collections.abc import Sequence
@@ -7,6 +7,9 @@ from pathlib import Path
 import numpy as np
 from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
+
+from bulletuav.geometry.quaternions import multiply_quaternions
+from bulletuav.identification.errors import conjugate
 
 FULL_PWM = 65535.0
 """Maximum motor command of a Crazyflie"""
@@ -109,6 +112,31 @@ def find_gaps(time: np.ndarray, at: np.ndarray, longest: float) -> np.ndarray:
 def rotation_matrices(quaternions: np.ndarray) -> np.ndarray:
     """Return body-to-world matrices (T, 3, 3) of quaternions (T, 4), scalar last."""
     return np.asarray(Rotation.from_quat(quaternions).as_matrix())
+
+
+def compute_state_errors(
+    predicted: np.ndarray, true: np.ndarray, is_shortest: bool = False
+) -> np.ndarray:
+    """Return errors of position (m), velocity (m/s), rotation (rad) and rates (rad/s), (..., 4).
+
+    Args:
+        predicted: Predicted states, (..., 13).
+        true: Measured states, (..., 13).
+        is_shortest: Whether angles are those of the shortest rotations, at most pi. Otherwise they
+            depend on the signs of the quaternions, and are at most 2 pi.
+    """
+    turn = multiply_quaternions(conjugate(true[..., 3:7]), predicted[..., 3:7])
+    scalar = np.abs(turn[..., 3]) if is_shortest else turn[..., 3]
+    angle = 2.0 * np.arctan2(np.linalg.norm(turn[..., :3], axis=-1), scalar)
+    return np.stack(
+        [
+            np.linalg.norm(predicted[..., :3] - true[..., :3], axis=-1),
+            np.linalg.norm(predicted[..., 7:10] - true[..., 7:10], axis=-1),
+            angle,
+            np.linalg.norm(predicted[..., 10:] - true[..., 10:], axis=-1),
+        ],
+        axis=-1,
+    )
 
 
 def motor_moments(forces: np.ndarray, half_arm: float) -> np.ndarray:

@@ -63,6 +63,11 @@ class NanobenchFlight:
     pwm: np.ndarray
     volts: np.ndarray
 
+    @property
+    def state(self) -> np.ndarray:
+        """Position, quaternion, velocity and rates, (T, 13)."""
+        return np.concatenate([self.position, self.quaternion, self.velocity, self.rates], axis=1)
+
 
 def read_nanobench_flight(path: Path) -> NanobenchFlight:
     """Read one flight.

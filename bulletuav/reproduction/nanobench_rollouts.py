@@ -8,14 +8,8 @@ import numpy as np
 from bulletuav.geometry.quaternions import multiply_quaternions, rotate_vectors
 from bulletuav.geometry.rotation import exp_map
 from bulletuav.identification.errors import conjugate
-from bulletuav.identification.rollout import (
-    STATE_SIZE,
-    Legs,
-    Track,
-    roll_out,
-    simulate_rotors,
-)
-from bulletuav.reproduction.flight_series import pick_evenly
+from bulletuav.identification.rollout import Legs, make_track, predict_legs, simulate_rotors
+from bulletuav.reproduction.flight_series import compute_state_errors, pick_evenly
 from bulletuav.reproduction.nanobench_flights import (
     MIN_FLIGHT_COMMAND,
     MIN_FLIGHT_HEIGHT,
@@ -25,7 +19,6 @@ from bulletuav.reproduction.nanobench_flights import (
 )
 from bulletuav.vehicle.airframe import STANDARD_GRAVITY, Airframe
 from bulletuav.vehicle.parameters import parameter_rows
-from bulletuav.vehicle.wakes import Wakes
 
 HORIZON = 50
 """Number of predicted rows: half a second"""
@@ -88,17 +81,7 @@ def find_all_windows(flight: NanobenchFlight, count: int) -> FlightWindows:
 
 def predict_constant_windows(windows: FlightWindows) -> np.ndarray:
     """Predict that the state stays as it is, (W, HORIZON, 13)."""
-    flight, starts = windows.flight, windows.starts
-    state = np.concatenate(
-        [
-            flight.position[starts],
-            flight.quaternion[starts],
-            flight.velocity[starts],
-            flight.rates[starts],
-        ],
-        axis=1,
-    )
-    return np.repeat(state[:, None], HORIZON, axis=1)
+    return np.repeat(windows.flight.state[windows.starts][:, None], HORIZON, axis=1)
 
 
 def hold_rates(airframe: Airframe) -> Airframe:
@@ -122,34 +105,22 @@ def predict_windows(
         Predicted positions, quaternions, velocities and rates, (W, HORIZON, 13).
     """
     flight = windows.flight
-    track = Track(
-        *map(
-            np.ascontiguousarray,
-            (flight.position, flight.quaternion, flight.velocity, flight.rates, np.zeros((0, 3))),
-        )
-    )
     command = compute_rotor_commands(flight.pwm, flight.volts[:, None])
     parameters = parameter_rows([airframe])[None]
     parameters["thrust_coefficient"][0, 0] *= trim.gain
     parameters["torque_coefficient"][0, 0] *= trim.gain
     speed = np.empty_like(command)
     simulate_rotors(command, parameters[0, 0], NANOBENCH_DT, speed)
-    states = np.empty((len(windows.starts), HORIZON, STATE_SIZE))
-    roll_out(
+    return predict_legs(
         Legs(windows.starts.astype(np.int64), HORIZON, 1, is_guided),
-        track,
+        make_track(flight.state),
         command,
         speed,
+        parameters,
+        NANOBENCH_DT,
         exp_map((*trim.tilt, 0.0)),
         trim.torque,
-        parameters,
-        0.0,
-        STANDARD_GRAVITY,
-        NANOBENCH_DT,
-        Wakes.of(1, 1),
-        states,
     )
-    return states
 
 
 def compute_channel_errors(
@@ -166,20 +137,10 @@ def compute_channel_errors(
         Norms of the errors of position (m), velocity (m/s), attitude (angle, rad) and body rates
         (rad/s), (W, HORIZON, 4).
     """
-    flight = windows.flight
-    at = windows.starts[:, None] + np.arange(1, HORIZON + 1)
-    measured = multiply_quaternions(flight.quaternion[at], np.array(exp_map((*tilt, 0.0))))
-    relative = multiply_quaternions(conjugate(measured), states[..., 3:7])
-    angle = 2.0 * np.arctan2(np.linalg.norm(relative[..., :3], axis=-1), np.abs(relative[..., 3]))
-    return np.stack(
-        [
-            np.linalg.norm(states[..., :3] - flight.position[at], axis=-1),
-            np.linalg.norm(states[..., 7:10] - flight.velocity[at], axis=-1),
-            angle,
-            np.linalg.norm(states[..., 10:] - flight.rates[at], axis=-1),
-        ],
-        axis=-1,
-    )
+    measured = windows.flight.state[windows.starts[:, None] + np.arange(1, HORIZON + 1)]
+    tilted = np.array(exp_map((*tilt, 0.0)))
+    measured[..., 3:7] = multiply_quaternions(measured[..., 3:7], tilted)
+    return compute_state_errors(states, measured, is_shortest=True)
 
 
 def calibrate_trim(training: Sequence[FlightWindows], airframe: Airframe) -> DroneTrim:

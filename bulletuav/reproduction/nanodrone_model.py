@@ -17,11 +17,10 @@ from bulletuav.geometry.quaternions import multiply_quaternions
 from bulletuav.identification.constants import BY_NAME, Constant
 from bulletuav.identification.errors import conjugate, with_constants
 from bulletuav.identification.fit import DIFFERENCE_STEP
-from bulletuav.identification.rollout import Legs, Track, roll_out
+from bulletuav.identification.rollout import NO_TILT, Legs, make_track, predict_legs
 from bulletuav.reproduction.nanodrone_protocol import NUM_STEPS, STEP, NanodroneWindows
-from bulletuav.vehicle.airframe import STANDARD_GRAVITY, Airframe
+from bulletuav.vehicle.airframe import Airframe
 from bulletuav.vehicle.parameters import parameter_rows
-from bulletuav.vehicle.wakes import Wakes
 
 CHUNK = 1000
 """Number of windows that are predicted together"""
@@ -33,7 +32,6 @@ FIRST_SCALE = 3.0
 """Scale of the soft L1 loss of a first fit, from which the fit with the objective's scale starts"""
 TOLERANCE_OF_FIT = 1e-5
 """Relative change of the cost, or of the constants, at which a fit ends"""
-NO_TILT = (0.0, 0.0, 0.0, 1.0)
 DELAY = "delay"
 """Name of the delay of the rotor speeds among fitted constants"""
 DELAY_SCALE = 0.01
@@ -129,26 +127,13 @@ def _predict_chunk(
     rows = (NUM_STEPS + 1) * np.arange(count)
     track = np.zeros((count * (NUM_STEPS + 1), 13))
     track[rows] = start
-    states = np.empty((count, NUM_STEPS, 13))
-    roll_out(
-        Legs(rows, NUM_STEPS, 1, False, True),
-        Track(
-            track[:, :3].copy(),
-            track[:, 3:7].copy(),
-            track[:, 7:10].copy(),
-            track[:, 10:].copy(),
-            np.zeros((0, 3)),
-        ),
+    states = predict_legs(
+        Legs(rows, NUM_STEPS, 1, guided=False, measured=True),
+        make_track(track),
         np.zeros((len(track), 4)),
         speed.reshape(-1, 4),
-        NO_TILT,
-        (0.0, 0.0, 0.0),
         parameter_rows([model.airframe])[None],
-        0.0,
-        STANDARD_GRAVITY,
         STEP,
-        Wakes.of(1, 1),
-        states,
     )
     return states[:, horizons - 1]
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bulletuav.geometry.quaternions import multiply_quaternions, rotate_vectors
-from bulletuav.identification.errors import conjugate
+from bulletuav.reproduction.flight_series import compute_state_errors
 from bulletuav.reproduction.nanodrone_data import SAMPLE_RATE, NanodroneFlight
 
 NUM_STEPS = 50
@@ -70,26 +70,6 @@ def cut_windows(
         speeds.append(flight.speed[starts[:, None] + np.arange(NUM_STEPS)])
         runs.append(np.full(len(starts), run))
     return NanodroneWindows(np.concatenate(states), np.concatenate(speeds), np.concatenate(runs))
-
-
-def compute_state_errors(predicted: np.ndarray, true: np.ndarray) -> np.ndarray:
-    """Return errors of position (m), velocity (m/s), rotation (rad) and rates (rad/s), (..., 4).
-
-    Args:
-        predicted: Predicted states, (..., 13).
-        true: Measured states, (..., 13).
-    """
-    turn = multiply_quaternions(conjugate(true[..., 3:7]), predicted[..., 3:7])
-    angle = 2.0 * np.arctan2(np.linalg.norm(turn[..., :3], axis=-1), turn[..., 3])
-    return np.stack(
-        [
-            np.linalg.norm(predicted[..., :3] - true[..., :3], axis=-1),
-            np.linalg.norm(predicted[..., 7:10] - true[..., 7:10], axis=-1),
-            angle,
-            np.linalg.norm(predicted[..., 10:] - true[..., 10:], axis=-1),
-        ],
-        axis=-1,
-    )
 
 
 def score_windows(predicted: np.ndarray, windows: NanodroneWindows) -> np.ndarray:

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from bulletuav import load_airframe
 from bulletuav.adapters.parquet import write_table
-from bulletuav.identification.rollout import Legs, Track, roll_out
+from bulletuav.identification.rollout import Legs, make_track, predict_legs
 from bulletuav.reproduction import find_reproduction
 from bulletuav.reproduction import nanodrone_data as data
 from bulletuav.reproduction import nanodrone_protocol as protocol
@@ -26,9 +26,7 @@ from bulletuav.reproduction.nanodrone_model import (
 )
 from bulletuav.reproduction.table import Settings
 from bulletuav.reproduction.tables import idsia
-from bulletuav.vehicle.airframe import STANDARD_GRAVITY
 from bulletuav.vehicle.parameters import parameter_rows
-from bulletuav.vehicle.wakes import Wakes
 
 DRONE = load_airframe("cf21B")
 STATES = (*data.POSITIONS, *data.QUATERNIONS, *data.VELOCITIES, *data.RATES_BODY)
@@ -39,25 +37,9 @@ def simulate(airframe, speed, measured=True):
     steps = len(speed) - 1
     first = np.zeros((len(speed), 13))
     first[:, 2], first[:, 6] = 5.0, 1.0
-    states = np.empty((1, steps, 13))
-    roll_out(
-        Legs(np.array([0]), steps, 1, False, measured),
-        Track(
-            *(first[:, k].copy() for k in (slice(3), slice(3, 7), slice(7, 10), slice(10, 13))),
-            np.zeros((0, 3)),
-        ),
-        speed,
-        speed,
-        (0.0, 0.0, 0.0, 1.0),
-        (0.0, 0.0, 0.0),
-        parameter_rows([airframe])[None],
-        0.0,
-        STANDARD_GRAVITY,
-        0.01,
-        Wakes.of(1, 1),
-        states,
-    )
-    return states[0]
+    legs = Legs(np.array([0]), steps, 1, False, measured)
+    row = parameter_rows([airframe])[None]
+    return predict_legs(legs, make_track(first), speed, speed, row, 0.01)[0]
 
 
 def wobble(count, seed, airframe=DRONE):

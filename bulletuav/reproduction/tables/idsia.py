@@ -12,6 +12,7 @@ from bulletuav.analysis.metrics.estimates import RESAMPLES, TAIL
 from bulletuav.geometry.quaternions import rotate_vectors
 from bulletuav.identification.errors import conjugate
 from bulletuav.report.figures import blank_figure
+from bulletuav.reproduction.flight_series import compute_state_errors
 from bulletuav.reproduction.nanodrone_data import (
     HELD_OUT,
     SAMPLE_RATE,
@@ -33,7 +34,6 @@ from bulletuav.reproduction.nanodrone_protocol import (
     NUM_STEPS,
     STEP,
     NanodroneWindows,
-    compute_state_errors,
     cut_windows,
     hold_state,
     pick_columns,
