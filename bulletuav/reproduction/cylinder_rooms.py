@@ -17,10 +17,11 @@ from bulletuav.envs.airspace import Airspace
 from bulletuav.policies.astar import plan_path
 from bulletuav.policies.half_spaces import AvoidanceParameters
 from bulletuav.policies.orca import orca_velocities
-from bulletuav.policies.planner import PathLimits, follow_paths
+from bulletuav.policies.planner import PathLimits
 from bulletuav.policies.straight import preferred_velocity
 from bulletuav.policies.traffic import Traffic
 from bulletuav.policies.voxels import Voxels
+from bulletuav.reproduction.rooms import RoomPaths, find_nearest_distances
 
 ROOM_LENGTH = 10.0
 """Edge length of the room, m; its centre is the origin, on the floor"""
@@ -76,10 +77,8 @@ MAP_CELL = 0.1
 """Size of a cell of the map for paths, m"""
 MAP_MARGIN = 0.03
 """Distance of paths to cylinders in addition to the radii, m; aisles are 0.4 m wide"""
-LEG_WIDTH = 0.05
-"""Free width on either side of a path, m"""
-LEG_ACCELERATION, LEG_DELAY = 3.0, 0.2
-"""Acceleration in corners, m/s^2, and time until a velocity is reached, s"""
+CYLINDER_PATH_LIMITS = PathLimits(PILOT_SPEED, acceleration=3.0, delay=0.2, half_width=0.05)
+"""Limits along paths"""
 
 GoalRule = Literal["random", "common"]
 """Goals: a random one for each drone, or one for all drones"""
@@ -246,7 +245,6 @@ def fly_cylinder_rooms(
         rotor_speed="hover" if dynamics == "rigid_body" else 0.0,
     )
     paths = _plan_paths(rooms, start, goal) if pilot == "paths" else None
-    target = np.ones(start.shape[:2], dtype=np.int64)
     ticks = round(duration * TICK_HZ)
     distance = np.empty((ticks, *start.shape[:2]))
     collided = np.zeros(start.shape[:2], dtype=bool)
@@ -258,7 +256,10 @@ def fly_cylinder_rooms(
             offset = goal - position
             wanted = preferred_velocity(offset, np.zeros_like(offset), PILOT_SPEED)
             if paths is not None:
-                wanted, target = _follow_paths(position, velocity, paths, target, wanted)
+                along, paths = paths.follow(position, velocity, CYLINDER_PATH_LIMITS)
+                # Straight to the goal on the last leg
+                is_last = paths.current >= paths.num_points - 1
+                wanted = np.where(is_last[..., None], wanted, along)
             traffic = _find_traffic(position, velocity, cylinder)
             chosen = orca_velocities(traffic, wanted, RULES)
             airspace.command(None, "velocity", chosen.reshape(-1, 3))
@@ -290,12 +291,10 @@ def find_cylinder_collisions(position: np.ndarray, cylinder: np.ndarray) -> np.n
     Returns:
         (W, N) bool.
     """
-    apart = np.linalg.norm(position[:, None] - position[:, :, None], axis=-1)
-    drones = np.arange(position.shape[1])
-    apart[:, drones, drones] = np.inf
     between = position[:, :, None, :2] - cylinder[:, None]
     beside = np.linalg.norm(between, axis=-1) <= CYLINDER_RADIUS + DRONE_RADIUS
-    hit: np.ndarray = (apart <= 2 * DRONE_RADIUS).any(axis=2) | beside.any(axis=2)
+    is_near = find_nearest_distances(position) <= 2 * DRONE_RADIUS
+    hit: np.ndarray = is_near | beside.any(axis=2)
     return hit
 
 
@@ -328,14 +327,8 @@ def _find_traffic(position: np.ndarray, velocity: np.ndarray, cylinder: np.ndarr
     )
 
 
-def _plan_paths(
-    rooms: Sequence[CylinderRoom], start: np.ndarray, goal: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Plan paths in the plane, with heights that change evenly along them.
-
-    Returns:
-        (W, N, K, 3) waypoints, m, and (W, N) their numbers.
-    """
+def _plan_paths(rooms: Sequence[CylinderRoom], start: np.ndarray, goal: np.ndarray) -> RoomPaths:
+    """Plan paths in the plane, with heights that change evenly along them."""
     found = []
     for room, starts, goals in zip(rooms, start, goal, strict=True):
         grid = _map_room(room.cylinder)
@@ -346,11 +339,7 @@ def _plan_paths(
             gone = np.concatenate([[0.0], np.cumsum(legs)])
             path[:, 2] = one[2] + (end[2] - one[2]) * gone / max(gone[-1], MAP_CELL)
             found.append(path)
-    count = np.array([len(path) for path in found])
-    point = np.zeros((len(found), max(2, count.max()), 3))
-    for row, path in zip(point, found, strict=True):
-        row[: len(path)] = path
-    return point.reshape(*start.shape[:2], -1, 3), count.reshape(start.shape[:2])
+    return RoomPaths.of(found, len(rooms))
 
 
 def _map_room(cylinder: np.ndarray) -> Voxels:
@@ -365,19 +354,3 @@ def _map_room(cylinder: np.ndarray) -> Voxels:
     blocked = apart < CYLINDER_RADIUS + DRONE_RADIUS + MAP_MARGIN + MAP_CELL / 2
     occupied[1:-1, 1:-1, 1] = blocked[1:-1, 1:-1]
     return Voxels(occupied, origin, MAP_CELL)
-
-
-def _follow_paths(
-    position: np.ndarray,
-    velocity: np.ndarray,
-    paths: tuple[np.ndarray, np.ndarray],
-    target: np.ndarray,
-    straight: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Compute velocities along the paths, straight to the goal on the last leg, and targets."""
-    point, count = paths
-    limits = PathLimits(PILOT_SPEED, LEG_ACCELERATION, LEG_DELAY, LEG_WIDTH)
-    width = np.full(count.shape, LEG_WIDTH)
-    wanted, target = follow_paths(position, velocity, point, count, target, width, limits)
-    is_last = target >= count - 1
-    return np.where(is_last[..., None], straight, wanted), target

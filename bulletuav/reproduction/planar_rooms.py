@@ -28,7 +28,7 @@ from bulletuav.policies.half_spaces import (
 )
 from bulletuav.policies.linear_program import DEPTH, solve_velocity
 from bulletuav.policies.orca import orca_velocities
-from bulletuav.policies.planner import PathLimits, follow_paths
+from bulletuav.policies.planner import PathLimits
 from bulletuav.policies.traffic import (
     Buildings,
     ObstacleClearance,
@@ -37,6 +37,7 @@ from bulletuav.policies.traffic import (
     tabulate_buildings,
 )
 from bulletuav.policies.voxels import build_voxels
+from bulletuav.reproduction.rooms import RoomPaths, find_nearest_distances
 
 PERIOD = 0.05
 """Duration of a step, s"""
@@ -64,10 +65,8 @@ ALTITUDE, HALF_HEIGHT = 1.0, 1.0
 """Height of the plane, and half the height of the obstacles, m; they have no effect"""
 CELL = 0.1
 """Size of a cell of the map for paths, m"""
-PATH_WIDTH = 0.1
-"""Free width on either side of a path, m"""
-PATH_ACCELERATION = 5.0
-"""Acceleration in corners, m/s^2; integrators have no limit"""
+ROBOT_PATH_LIMITS = PathLimits(ROBOT_SPEED, acceleration=5.0, delay=PERIOD, half_width=0.1)
+"""Limits along paths; integrators have no limit of acceleration"""
 PARAMETERS = AvoidanceParameters(
     separation=2 * AVOIDED_RADIUS,
     horizon=AVOIDED_TIME,
@@ -233,7 +232,7 @@ def fly_planar_rooms(
             break
         wanted = offset / np.maximum(distance, 1.0)
         if paths is not None:
-            wanted, paths = _follow(position, velocity, paths)
+            wanted, paths = paths.follow(position, velocity, ROBOT_PATH_LIMITS)
         velocity = choose(_find_traffic(position, velocity, buildings), wanted, PARAMETERS)
         position = position + PERIOD * velocity
     hit |= _find_collisions(position, rooms)
@@ -323,15 +322,7 @@ def plain_orca_velocities(
     return result
 
 
-class _Paths(NamedTuple):
-    """Paths of the robots: waypoints (W, N, K, 3), m, their number, and the current one, (W, N)."""
-
-    point: np.ndarray
-    num_points: np.ndarray
-    current: np.ndarray
-
-
-def _plan_paths(rooms: Sequence[PlanarRoom], start: np.ndarray, goal: np.ndarray) -> _Paths:
+def _plan_paths(rooms: Sequence[PlanarRoom], start: np.ndarray, goal: np.ndarray) -> RoomPaths:
     """Plan the shortest path of each robot between the obstacles of its room."""
     found = []
     for room, starts, goals in zip(rooms, start, goal, strict=True):
@@ -340,22 +331,7 @@ def _plan_paths(rooms: Sequence[PlanarRoom], start: np.ndarray, goal: np.ndarray
         # A path through free cells is half a cell nearer to obstacles than their centres
         grid = build_voxels(_walls(room), low, high, CELL, AVOIDED_RADIUS + CELL / 2)
         found += [plan_path(grid, one, end) for one, end in zip(starts, goals, strict=True)]
-    count = np.array([len(path) for path in found])
-    point = np.zeros((len(found), max(2, count.max()), 3))
-    for row, path in zip(point, found, strict=True):
-        row[: len(path)] = path
-    shape = start.shape[:2]
-    return _Paths(
-        point.reshape(*shape, -1, 3), count.reshape(shape), np.ones(shape, dtype=np.int64)
-    )
-
-
-def _follow(position: np.ndarray, velocity: np.ndarray, paths: _Paths) -> tuple[np.ndarray, _Paths]:
-    """Compute the preferred velocities (W, N, 3) along the paths, m/s, and the paths ahead."""
-    width = np.full(paths.num_points.shape, PATH_WIDTH)
-    limits = PathLimits(ROBOT_SPEED, PATH_ACCELERATION, PERIOD, PATH_WIDTH)
-    wanted, current = follow_paths(position, velocity, *paths, width, limits)
-    return wanted, paths._replace(current=current)
+    return RoomPaths.of(found, len(rooms))
 
 
 def _find_collisions(position: np.ndarray, rooms: Sequence[PlanarRoom]) -> np.ndarray:
@@ -364,10 +340,7 @@ def _find_collisions(position: np.ndarray, rooms: Sequence[PlanarRoom]) -> np.nd
     As in the published statistics, walls are ignored.
     """
     place = position[..., :2]
-    apart = np.linalg.norm(place[:, None] - place[:, :, None], axis=-1)
-    robots = np.arange(place.shape[1])
-    apart[:, robots, robots] = np.inf
-    robot = (apart < 2 * ROBOT_RADIUS - SLACK).any(axis=2)
+    robot = find_nearest_distances(place) < 2 * ROBOT_RADIUS - SLACK
     square = np.zeros_like(robot)
     for here, room, hit in zip(place, rooms, square, strict=True):
         nearest = np.clip(here[:, None], room.square, room.square + 1.0)

@@ -16,7 +16,7 @@ from bulletuav.reproduction.planar_rooms import (
     fly_planar_rooms,
     read_planar_room,
 )
-from bulletuav.reproduction.room_intervals import MIN_ROOMS, room_interval
+from bulletuav.reproduction.rooms import MIN_ROOMS, room_interval
 from bulletuav.reproduction.table import Data, Reproduction, Row, Settings, TableOutcome
 
 DATA = Data(

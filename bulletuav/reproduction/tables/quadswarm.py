@@ -14,7 +14,7 @@ from bulletuav.reproduction.cylinder_rooms import (
     draw_cylinder_room,
     fly_cylinder_rooms,
 )
-from bulletuav.reproduction.room_intervals import MIN_ROOMS, room_interval
+from bulletuav.reproduction.rooms import MIN_ROOMS, room_interval
 from bulletuav.reproduction.table import Reproduction, Row, Settings, TableOutcome
 
 DENSITIES = (0.2, 0.4, 0.6, 0.8)
