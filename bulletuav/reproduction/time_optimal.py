@@ -418,7 +418,6 @@ def optimize_flight(
     limits: QuadrotorLimits,
     pieces: Sequence[int] = (1, 3, 5),
     iterations: int = MAX_ITERATIONS,
-    progress: Callable[[float], None] = lambda fraction: None,
 ) -> list[PolynomialFlight]:
     """Find fast flights through openings in order, from rest to rest.
 
@@ -431,7 +430,6 @@ def optimize_flight(
         limits: Limits of the quadrotor.
         pieces: Numbers of polynomials from gate to gate, each a multiple or more of the one before.
         iterations: Maximum number of iterations for each weight.
-        progress: Callback for the finished fraction.
 
     Returns:
         A flight for each number of pieces; local optima.
@@ -443,15 +441,14 @@ def optimize_flight(
     durations = np.maximum(lengths / START_SPEED, START_DURATION)
     flights: list[PolynomialFlight] = []
     flight = join_pieces(places, durations, ends, np.arange(legs - 1))
-    for step, number in enumerate(pieces):
+    for number in pieces:
         flight = _divide(flight, legs, number)
         junctions = flight.coefficients[1:, 0]
         x = np.concatenate([junctions.ravel(), np.log(flight.durations)])
         samples = SAMPLES * (2 if number == 1 else 1)
-        for turn, weight in enumerate(WEIGHTS):
+        for weight in WEIGHTS:
             problem = _Problem(openings, flight.gates, ends, limits, legs * number, samples, weight)
             x = problem.solve(x, iterations)
-            progress((step + (turn + 1) / len(WEIGHTS)) / len(pieces))
         flight = problem.flight(x)
         flights.append(stretch_to_limits(flight, limits))
     return flights

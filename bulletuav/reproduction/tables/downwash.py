@@ -1,7 +1,6 @@
 """Errors that the model of the wake removes on flights of pairs of drones."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -166,23 +165,24 @@ def _compare(name: str, kept: Sequence[Sequence[LowerDrone]], row: ParameterRow)
     samples = compute_reduction(squares[chosen].sum(axis=1))
     low, high = np.quantile(samples, (TAIL, 1.0 - TAIL), axis=0)
     mean = compute_reduction(squares.sum(axis=0))
-    rows = []
-    for k, (error, counterpart, published, tolerance) in enumerate(ERRORS):
-        against = f" (published: {counterpart})" if counterpart else ""
-        row_of_error = Row(
-            f"{name}: {error}{against}",
-            float(mean[k]),
+    # A single flight has no interval
+    ends = np.stack([low, high], axis=1).tolist() if len(kept) > 1 else [(None, None)] * len(ERRORS)
+    return [
+        Row(
+            f"{name}: {error}" + (f" (published: {counterpart})" if counterpart else ""),
+            float(size),
             published,
             "%",
-            tolerance=tolerance,
+            first,
+            last,
+            tolerance,
             # Theirs are of tracking errors, ours of forces or of simulated heights
             is_comparable=published is None,
         )
-        # A single flight has no interval
-        if len(kept) > 1:
-            row_of_error = replace(row_of_error, low=float(low[k]), high=float(high[k]))
-        rows.append(row_of_error)
-    return rows
+        for (error, counterpart, published, tolerance), size, (first, last) in zip(
+            ERRORS, mean, ends, strict=True
+        )
+    ]
 
 
 def _draw(rows: Sequence[Row], shown: Sequence[LowerDrone], row: ParameterRow) -> Figure:

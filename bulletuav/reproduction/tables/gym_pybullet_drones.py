@@ -59,36 +59,18 @@ def _compute(settings: Settings) -> TableOutcome:
             f"chaotic: gym-pybullet-drones' own flight moves by {own:.3f} m if its start is "
             f"shifted by {SHIFT:g} m and rad"
         )
-        furthest = float(apart["closed"][name].max())
-        rows.append(
-            Row(
-                f"{title}: distance over {seconds} s",
-                furthest,
-                0.0,
-                "m",
-                tolerance=MAX_DISTANCE,
-                # A flight that leaves further than its own noise is not explained by it
-                why=why if MAX_DISTANCE < furthest < 2.0 * own else "",
+        furthest, restarted = (float(apart[manner][name].max()) for manner in ("closed", "open"))
+        # A flight that leaves further than its own noise is not explained by it
+        is_chaotic = MAX_DISTANCE < furthest < 2.0 * own
+        again = f"distance in {RESTART:g} s with its rotor speeds"
+        rows += [
+            Row(f"{title}: {kind}", found, 0.0, unit, tolerance=tolerance, why=reason)
+            for kind, found, unit, tolerance, reason in (
+                (f"distance over {seconds} s", furthest, "m", MAX_DISTANCE, why * is_chaotic),
+                (again, restarted, "m", MAX_DISTANCE, ""),
+                ("rotor speeds in its states", speeds[name], "rpm", MAX_SPEED_DIFFERENCE, ""),
             )
-        )
-        rows.append(
-            Row(
-                f"{title}: distance in {RESTART:g} s with its rotor speeds",
-                float(apart["open"][name].max()),
-                0.0,
-                "m",
-                tolerance=MAX_DISTANCE,
-            )
-        )
-        rows.append(
-            Row(
-                f"{title}: rotor speeds in its states",
-                speeds[name],
-                0.0,
-                "rpm",
-                tolerance=MAX_SPEED_DIFFERENCE,
-            )
-        )
+        ]
     figure = blank_figure(10, 6)
     for axes, name in zip(figure.subplots(2, 4, sharey=True).flat, TITLES, strict=True):
         time = seconds * np.arange(1, len(moved[name]) + 1) / len(moved[name])

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from matplotlib.axes import Axes
 
 from bulletuav.report.figures import blank_figure
 from bulletuav.reproduction.table import Data, Reproduction, Row, Settings, TableOutcome
@@ -137,85 +138,74 @@ def _explain(published: dict[str, np.ndarray], seconds: float, plan: float) -> s
     return f"{slower:.1f} % slower: the published flight {', '.join(reasons)}"
 
 
+def _make_rows(
+    name: str, published: float, planned: float, flight: TogtFlight, why: str
+) -> list[Row]:
+    """Compare the duration of a plan, and its flight, with a published time, s."""
+    times = (("planned", planned), ("flown", flight.time))
+    return [
+        *(
+            Row(f"{name}: {kind}", ours, published, "s", tolerance=0.0005, goal="lower", why=why)
+            for kind, ours in times
+        ),
+        Row(f"{name}: flown over planned", flight.time / planned, 1.0, tolerance=MAX_DEVIATION),
+        Row(
+            f"{name}: largest distance from an opening",
+            float(flight.excess.max()),
+            0.0,
+            "m",
+            tolerance=MISSING,
+        ),
+    ]
+
+
+def _draw_flight(axes: Axes, plan: PolynomialFlight, flight: TogtFlight) -> None:
+    """Draw a plan and its flight from above."""
+    path = plan.motion(np.linspace(0.0, plan.duration, 1000))[:, 0]
+    axes.plot(path[:, 0], path[:, 1], label=f"plan, {plan.duration:.2f} s")
+    place, label = flight.position, f"flown, {flight.time:.2f} s"
+    axes.plot(place[:, 0], place[:, 1], "--", linewidth=1, label=label)
+
+
 def _compute(settings: Settings) -> TableOutcome:
     """Plan all tracks, fly the plans, and compare."""
     assert settings.data is not None
+    resources = settings.data / "resources"
     tracks = TRACKS[: settings.count(len(TRACKS))]
     iterations = settings.count(MAX_ITERATIONS, 2)
     pieces = PIECES if settings.size > 0.1 else PIECES[:1]
     plan = partial(plan_track, pieces=pieces, iterations=iterations)
-    files = [settings.data / "resources" / "racetrack" / track.file for track in tracks]
+    files = [resources / "racetrack" / track.file for track in tracks]
     plans: list[list[PolynomialFlight]] = []
     with ProcessPoolExecutor(settings.workers, mp_context=get_context("spawn")) as pool:
         for found in pool.map(plan, files):
             plans.append(found)
             settings.progress(0.8 * len(plans) / len(tracks))
     rows: list[Row] = []
-    flown: dict[str, TogtFlight] = {}
     extra: dict[str, object] = {}
     figure = blank_figure(5 * len(tracks), 6)
     with tempfile.TemporaryDirectory() as place:
         urdf = Path(place) / "togt.urdf"
         write_togt_urdf(urdf)
-        for k, (track, file) in enumerate(zip(tracks, files, strict=True)):
+        for k, (track, file, own) in enumerate(zip(tracks, files, plans, strict=True)):
             course = read_togt_track(file)
             axes = figure.add_subplot(1, len(tracks), k + 1)
             axes.set(title=track.name, xlabel="x (m)", ylabel="y (m)", aspect="equal")
+            flown: dict[int, TogtFlight] = {}
             for time in track.times:
                 number = min(time.pieces, len(pieces) - 1)
-                chosen = plans[k][number]
-                key = f"{track.name}, {number}"
-                if key not in flown:
-                    flown[key] = fly_plan(chosen, course, urdf)
-                    times = np.linspace(0.0, chosen.duration, 1000)
-                    path = chosen.motion(times)[:, 0]
-                    axes.plot(path[:, 0], path[:, 1], label=f"plan, {chosen.duration:.2f} s")
-                    place_at = flown[key].position
-                    label = f"flown, {flown[key].time:.2f} s"
-                    axes.plot(place_at[:, 0], place_at[:, 1], "--", linewidth=1, label=label)
-                flight = flown[key]
-                there = settings.data / "resources" / "trajectory" / time.file
-                published = _read_published(there)
-                axes.plot(
-                    published["p_x"],
-                    published["p_y"],
-                    ":",
-                    linewidth=1,
-                    label=f"published, {time.seconds:.2f} s",
-                )
-                name = f"{track.name}, {time.name}"
-                why = _explain(published, time.seconds, chosen.duration)
-                if iterations < MAX_ITERATIONS:  # a plan that is not optimised explains nothing
-                    why = ""
-                rows += [
-                    Row(
-                        f"{name}: {kind}",
-                        seconds,
-                        time.seconds,
-                        "s",
-                        tolerance=0.0005,
-                        goal="lower",
-                        why=why,
-                    )
-                    for kind, seconds in (("planned", chosen.duration), ("flown", flight.time))
-                ]
-                rows.append(
-                    Row(
-                        f"{name}: flown over planned",
-                        flight.time / chosen.duration,
-                        1.0,
-                        tolerance=MAX_DEVIATION,
-                    )
-                )
-                rows.append(
-                    Row(
-                        f"{name}: largest distance from an opening",
-                        float(flight.excess.max()),
-                        0.0,
-                        "m",
-                        tolerance=MISSING,
-                    )
-                )
+                planned = own[number].duration
+                if number not in flown:
+                    flown[number] = fly_plan(own[number], course, urdf)
+                    _draw_flight(axes, own[number], flown[number])
+                flight, name = flown[number], f"{track.name}, {time.name}"
+                published = _read_published(resources / "trajectory" / time.file)
+                label = f"published, {time.seconds:.2f} s"
+                axes.plot(published["p_x"], published["p_y"], ":", linewidth=1, label=label)
+                # A plan that is not optimised explains nothing
+                is_optimised = iterations == MAX_ITERATIONS
+                why = _explain(published, time.seconds, planned) if is_optimised else ""
+                rows += _make_rows(name, time.seconds, planned, flight, why)
                 extra[name] = {
                     "largest distance from the plan, m": flight.error,
                     "largest speed, m/s": float(flight.speed.max()),
@@ -223,9 +213,8 @@ def _compute(settings: Settings) -> TableOutcome:
             centres = np.array([opening.centre for opening in course.openings])
             axes.plot(centres[:, 0], centres[:, 1], "k+", markersize=8, label="gates")
             axes.legend(fontsize=7, loc="upper center", bbox_to_anchor=(0.5, -0.15), ncols=2)
-            extra[f"{track.name}: planned by {pieces} polynomials, s"] = [
-                plan.duration for plan in plans[k]
-            ]
+            durations = [one.duration for one in own]
+            extra[f"{track.name}: planned by {pieces} polynomials, s"] = durations
             settings.progress(0.8 + 0.2 * (k + 1) / len(tracks))
     notes = (
         "Published times are those of the last lines of the files in resources/trajectory.",
