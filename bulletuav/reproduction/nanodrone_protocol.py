@@ -9,7 +9,7 @@ References:
     Engineering Practice 172, 2026. Errors as in `utils/metrics_utils.py` of their repository.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -44,10 +44,6 @@ class NanodroneWindows:
     state: np.ndarray
     speed: np.ndarray
     run: np.ndarray
-
-
-Predict = Callable[[NanodroneWindows], np.ndarray]
-"""Function from windows to predicted states (K, 50, 13)"""
 
 
 def cut_windows(

@@ -1,5 +1,6 @@
 """The reference table of edge computing: its metrics by hand, its rows, and its published run."""
 
+import dataclasses
 import json
 import math
 import re
@@ -12,7 +13,7 @@ from placing import OPEN, fly
 
 import bulletuav
 from bulletuav.analysis.metrics import Estimate
-from bulletuav.reproduction import find_reproduction
+from bulletuav.reproduction import edge_reference, find_reproduction
 from bulletuav.reproduction.edge_reference import (
     EDGE_METRICS,
     LEARNED,
@@ -23,6 +24,7 @@ from bulletuav.reproduction.edge_reference import (
     estimate_ratio,
     finished_tasks,
     fly_edge_scenes,
+    train_edge_policy,
 )
 from bulletuav.reproduction.table import Settings, rows_of_record
 from bulletuav.reproduction.tables import mec_reference
@@ -157,6 +159,18 @@ def test_finished_and_dropped_tasks_are_all_tasks():
         tasks = row["finished_tasks"] + row["dropped"]
         assert row["completed"] == pytest.approx(row["finished_tasks"] / tasks)
         assert 0 < row["finished_tasks"] < tasks
+
+
+def test_learned_policies_differ_by_their_critic_only(monkeypatch, tmp_path):
+    runs = {}
+    monkeypatch.setattr(edge_reference, "train", lambda run, folder, _: runs.update({folder: run}))
+    for policy in LEARNED:
+        train_edge_policy(SCENES[0], policy, 1000, tmp_path / policy, print)
+    own, central = runs.values()
+    assert own.settings["critic"] == "own"
+    assert central == dataclasses.replace(own, model={**own.model, "critic": "state"})
+    assert {"difficulty": "medium", "dynamics": "point_mass"}.items() <= own.options.items()
+    assert (own.algo, own.seed, own.steps) == ("fast_ppo", 0, 1000)
 
 
 def test_the_same_seeds_give_the_same_bits(flights):
