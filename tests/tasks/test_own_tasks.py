@@ -22,6 +22,9 @@ HOVER_HIGHER = """
 @pytest.fixture
 def install(tmp_path, monkeypatch):
     """Installs a package with entry points, as pip leaves it: install(name="module:Class", ...)."""
+    # A module that is first imported here would be registered in this test only
+    for kind in registry.PACKAGES:
+        registry.names(kind)
     registered = {kind: dict(table) for kind, table in registry._registered.items()}
     monkeypatch.setattr(registry, "_registered", registered)
     monkeypatch.setattr(registry, "_loaded", registry._loaded - {"task"})
