@@ -8,6 +8,7 @@ from placing import OPEN, SMALL, WALL, city_of, fly
 import bulletuav
 from bulletuav.envs.env_spec import EnvSpec
 from bulletuav.network.mobility import find_mobility
+from bulletuav.tasks.observations.targets import _mean
 
 OWN = {"served": 0.0, "service_time": 0.0, "sight": 1.0, "dwell_time": 0.5}
 """Weights by which drones are paid for what they see themselves"""
@@ -274,6 +275,16 @@ def test_centroids_by_hand(put):
     np.testing.assert_allclose(observations[0, 2], (*everybody, *everybody))
     names = [label.name for label in aviary.observer.labels]
     assert names == ["centroid x", "centroid y", "own centroid x", "own centroid y"]
+
+
+def test_centroids_add_the_targets_in_order():
+    """A product of matrices adds in an order that depends on the BLAS."""
+    rng = np.random.default_rng(0)
+    chosen, place = rng.random((2, 3, 50)) < 0.5, rng.normal(0.0, 100.0, (2, 50, 2))
+    total = np.zeros((2, 3, 2))
+    for j in range(50):
+        total += chosen[:, :, j, None] * place[:, None, j]
+    np.testing.assert_array_equal(_mean(place, chosen), total / chosen.sum(axis=-1)[..., None])
 
 
 def test_own_centroids_follow_the_drones(put):
