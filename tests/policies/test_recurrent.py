@@ -110,6 +110,16 @@ def test_steps_are_those_of_pytorch():
     np.testing.assert_allclose(own, given.clamp(-1, 1).numpy(), atol=1e-10)
 
 
+def test_steps_depend_on_no_other_row_of_the_batch():
+    network = RecurrentNetwork(load_file(FOLDER / "policy.safetensors"))
+    rng = np.random.default_rng(0)
+    rows, hidden = rng.normal(size=(9, len(LABELS))), rng.normal(size=(9, network.hidden_size))
+    all_rows = network.step(rows, hidden)
+    each = [network.step(rows[k : k + 1], hidden[k : k + 1]) for k in range(9)]
+    for together, alone in zip(all_rows, zip(*each, strict=True), strict=True):
+        np.testing.assert_array_equal(together, np.concatenate(alone))
+
+
 def fly(airframes, worlds, **options):
     spec = find_policy("foundation", "hover")
     options = {"airframe": airframes, "difficulty": "medium", **options}
