@@ -69,6 +69,33 @@ class NanobenchFlight:
         return np.concatenate([self.position, self.quaternion, self.velocity, self.rates], axis=1)
 
 
+def read_nanobench_columns(path: Path, columns: Sequence[str]) -> np.ndarray:
+    """Read columns of one flight, the first of which is time.
+
+    Returns:
+        Table (rows, columns).
+
+    Raises:
+        LogError: If columns or numbers are missing, or times do not rise.
+    """
+    name = path.stem
+    with path.open(errors="replace") as lines:
+        header = lines.readline().strip().split(",")
+    require_log_columns(name, header, columns)
+    indices = [header.index(column) for column in columns]
+    try:
+        with warnings.catch_warnings():
+            # Of files without rows, whose times do not rise
+            warnings.simplefilter("ignore", UserWarning)
+            table = np.genfromtxt(path, delimiter=",", skip_header=1, usecols=indices, ndmin=2)
+        table = table.reshape(-1, len(indices))
+    except ValueError as error:
+        raise LogError(f"{name}: rows differ in length; fetch the file again") from error
+    require_finite_log(name, table, columns)
+    require_rising_time(name, table[:, 0])
+    return table
+
+
 def read_nanobench_flight(path: Path) -> NanobenchFlight:
     """Read one flight.
 
@@ -78,20 +105,7 @@ def read_nanobench_flight(path: Path) -> NanobenchFlight:
             range (misread packets of the radio), or the drone never flew.
     """
     name = path.stem
-    with path.open(errors="replace") as lines:
-        header = lines.readline().strip().split(",")
-    require_log_columns(name, header, NANOBENCH_COLUMNS)
-    indices = [header.index(column) for column in NANOBENCH_COLUMNS]
-    try:
-        with warnings.catch_warnings():
-            # Of files without rows, whose times do not rise
-            warnings.simplefilter("ignore", UserWarning)
-            table = np.genfromtxt(path, delimiter=",", skip_header=1, usecols=indices, ndmin=2)
-        table = table.reshape(-1, len(indices))
-    except ValueError as error:
-        raise LogError(f"{name}: rows differ in length; fetch the file again") from error
-    require_finite_log(name, table, NANOBENCH_COLUMNS)
-    require_rising_time(name, table[:, 0])
+    table = read_nanobench_columns(path, NANOBENCH_COLUMNS)
     lengths = np.linalg.norm(table[:, 4:8], axis=1)
     if np.abs(lengths - 1.0).max() > 0.01:
         worst = lengths[np.argmax(np.abs(lengths - 1.0))]
