@@ -18,6 +18,14 @@ from bulletuav.reproduction.nanobench_flights import (
     read_nanobench_flight,
     read_nanobench_flights,
 )
+from bulletuav.reproduction.nanobench_onboard import (
+    ONBOARD_COLUMNS,
+    align_positions,
+    compute_estimate_errors,
+    compute_tracking_errors,
+    drop_interpolated_rows,
+    find_onboard_logs,
+)
 from bulletuav.reproduction.nanobench_rollouts import (
     HORIZON,
     RATE_ROWS,
@@ -231,6 +239,90 @@ def test_the_torque_of_a_drone_is_found_again():
     assert trim.torque[0] > 0.2 * AIRFRAME.inertia[0]
 
 
+def made_up_log():
+    """A circle at 1 m/s, 0.2 s behind its target; estimates are turned by 0.5 rad about z."""
+    time = np.arange(0.0, 4.0, 0.01)
+    path, target = (
+        np.stack([np.cos(t), np.sin(t), np.ones(len(t))], axis=1) for t in (time, time + 0.2)
+    )
+    log = np.zeros((len(time), len(ONBOARD_COLUMNS)))
+    log[:, 0], log[:, 1:4], log[:, 19:22], log[:, -1] = time + 1e9, path, target, 5e4
+    log[:, 4:6] = np.stack([-path[:, 1], path[:, 0]], axis=1)
+    log[:, 7:10] = [0.1, 0.2, 0.3]
+    log[:, 10:13] = Rotation.from_euler("z", 0.5).apply(path) + [3.0, 2.0, 1.0]
+    log[:, 13:16] = log[:, 4:7] + [0.03, 0.04, 0.0]
+    log[:, 16:19] = np.degrees([0.1, -0.2, 0.3])
+    return log
+
+
+def test_errors_of_estimates_are_those_of_their_definitions():
+    log = made_up_log()
+    # Rows on the ground do not count
+    log[:50, -1], log[:50, 10:19] = 0.0, 99.0
+    errors = compute_estimate_errors(log)
+    np.testing.assert_allclose(errors[:2], 0.0, atol=1e-9)
+    # A turn by 0.5 rad moves the chord of an arc of 1 m by 2 sin(0.25) of its length 2 sin(0.5)
+    assert errors[2] == pytest.approx(474.5, rel=0.01)
+    assert errors[3] == pytest.approx(0.05)
+    # 5.7296 - 0.1, -11.4592 - 0.2 and 17.1887 - 0.3
+    assert errors[4] == pytest.approx(12.2863, abs=1e-3)
+    assert compute_estimate_errors(log, is_same_unit=True)[4] == pytest.approx(0.0, abs=1e-9)
+    log[::2, 12] += 0.006
+    assert compute_estimate_errors(log)[:2] == pytest.approx([3.0, 3.0], abs=0.01)
+
+
+def test_positions_are_aligned_without_reflection():
+    corners = np.array([[0.0, 0, 0], [1, 0, 0], [0, 2, 0], [0, 0, 3]])
+    turned = Rotation.from_rotvec([0.3, -2.0, 1.0]).apply(corners) + 5.0
+    np.testing.assert_allclose(align_positions(turned, corners), corners, atol=1e-12)
+    assert np.abs(align_positions(-corners, corners) - corners).max() > 0.1
+
+
+def test_tracking_errors_are_those_of_their_definitions():
+    log = made_up_log()
+    # Rows without target, before and after the flight, do not count
+    log[:30, 19:22] = log[-30:, 19:22] = 0.0
+    log[:, 9] += 2.0 * np.pi
+    errors = compute_tracking_errors(log)
+    # The chord of an arc of 0.2 m
+    assert errors[:3] == pytest.approx([0.199667] * 3, abs=1e-6)
+    # Differences of targets are velocities half a row later: 2 sin(0.205 / 2)
+    assert errors[3] == pytest.approx(0.20464, abs=1e-4)
+    assert errors[4] == pytest.approx(np.degrees(0.3))
+    assert errors[5:] == pytest.approx([0.0, 0.2], abs=1e-9)
+
+
+@pytest.mark.parametrize(("gap", "rows"), [(20, 400), (100, 201), (250, 201)])
+def test_flights_end_at_long_gaps_of_their_estimates(gap, rows):
+    log = made_up_log()
+    end = min(200 + gap, 399)
+    part = np.linspace(0.0, 1.0, end - 199)[:, None]
+    log[200 : end + 1, 10:13] = (1 - part) * log[200, 10:13] + part * (log[end, 10:13] + 9.0)
+    assert len(drop_interpolated_rows(log)) == rows
+
+
+def test_onboard_logs_without_flight_end_in_one_clear_error(tmp_path):
+    log = made_up_log()
+    with pytest.raises(LogError, match="task 3 is shorter than 1 m"):
+        compute_estimate_errors(log[:90])
+    with pytest.raises(LogError, match="task 2 has 190 rows with a target"):
+        compute_tracking_errors(log[:190])
+    with pytest.raises(LogError, match="no B9_a.csv, B9_b.csv; is it a clone"):
+        find_onboard_logs(tmp_path, ["B9_a.csv", "B9_b.csv"])
+
+
+def write_onboard_logs(folder):
+    """Write one flight of each group of tasks 2 and 3."""
+    task = folder / "benchmarks" / "task3_stateEst" / "pid_trefoil"
+    task.mkdir(parents=True)
+    paths = [task / f"B9_trefoil_{speed}_rep1.csv" for speed in nanobench.ESTIMATES]
+    for _, speed, flights in nanobench.TRACKING:
+        name = f"B9_trefoil_{speed}_rep{flights[0]}.csv"
+        paths.append(folder / "datasets" / "dataset" / name)
+    for path in paths:
+        np.savetxt(path, made_up_log(), "%.9f", ",", header=",".join(ONBOARD_COLUMNS), comments="")
+
+
 @pytest.fixture
 def clone(tmp_path):
     for k, course in enumerate((0.0, np.pi / 2, np.pi, -np.pi / 2, 0.5, 2.5)):
@@ -240,6 +332,7 @@ def clone(tmp_path):
     write_flight(
         tmp_path, made_up_flight(name="B3_spun"), lambda t: t["imu_gyro_x"].__setitem__(3, 99.0)
     )
+    write_onboard_logs(tmp_path)
     return tmp_path
 
 
@@ -250,9 +343,10 @@ def compute(folder, size=0.05):
 def test_the_table_of_made_up_flights(clone):
     outcome = compute(clone, size=1.0)
     rows = {row.name: row for row in outcome.rows}
-    assert len(rows) == 4 * (5 * 4 + 2)
+    assert len(rows) == 4 * (5 * 4 + 2) + 6 * 7 + 3 * 5 * 3
     assert outcome.extra["gain"] == pytest.approx(GAIN, rel=5e-3)
-    assert [reason.split(":")[0] for reason in outcome.extra["refused"]] == ["B3_low", "B3_spun"]
+    refused = [reason.split(":")[0] for reason in outcome.extra["refused"]]
+    assert [name for name in refused if not name.startswith("B9_")] == ["B3_low", "B3_spun"]
     naive = rows["naive: position after 0.5 s"]
     assert naive.published == 0.2866
     # Speeds from 0.5 to 1.0 m/s, and 1 m/s, that fall within 4 s
@@ -272,6 +366,13 @@ def test_the_table_of_made_up_flights(clone):
     total = rows["rates held: position summed over 50 steps (published: best, physics + residual)"]
     assert total.published == 4.4071
     assert held.ours < total.ours < 50 * held.ours
+    estimate = rows["task 3, fast: attitude error, root mean square"]
+    assert (round(estimate.ours, 3), estimate.published) == (12.286, 29.67)
+    assert rows[estimate.name + ", standard deviation"].ours == 0.0
+    assert rows[estimate.name + ", corrected"].ours == pytest.approx(0.0, abs=1e-6)
+    tracking = rows["task 2, Mellinger, medium: position error, mean"]
+    assert (round(tracking.ours, 6), tracking.published) == (0.199667, 0.269968)
+    assert rows["task 2, PID, slow: best delay"].verdict == "unpublished"
     assert outcome.figure.axes[0].get_xlabel() == "prediction horizon, s"
     again = compute(clone, size=1.0)
     assert [(row.ours, row.low, row.high) for row in again.rows] == [
