@@ -53,6 +53,23 @@ class Scaled(NamedTuple):
     power: tuple[float, float]
 
 
+def without_rotor_effects(scaled: Scaled, propeller_radius: float) -> Scaled:
+    """Return the scaled constants of an airframe with wings.
+
+    Its panels and the rotors' drag along their axes damp its rotation, so there is no further
+    damping. Ground effect and wake are models of a multirotor, and are off.
+
+    Args:
+        scaled: Constants of a multirotor with the same rotors.
+        propeller_radius: R, m.
+    """
+    return scaled._replace(
+        ground_effect=(scaled.ground_effect[0], 0.0),
+        wake=(propeller_radius, 0.0, WAKE_SPREAD),
+        damping=(0.0, 0.0, 0.0),
+    )
+
+
 def scaled_constants(
     inertia: tuple[float, float, float],
     rotors: tuple[tuple[float, float, int], ...],

@@ -22,6 +22,8 @@ class Swarm(NamedTuple):
         velocity: (W, N, 3) velocity of the centre of mass, world axes, m/s.
         rates: (W, N, 3) angular velocity, body axes, rad/s.
         rotor_speed: (W, N, R) rotor speeds, rad/s; R is the largest number of rotors in the swarm.
+        deflection: (W, N, S) deflections of control surfaces, rad; S is the largest number of them
+            in the swarm, 0 for multirotors.
     """
 
     position: np.ndarray
@@ -29,18 +31,22 @@ class Swarm(NamedTuple):
     velocity: np.ndarray
     rates: np.ndarray
     rotor_speed: np.ndarray
+    deflection: np.ndarray
 
     @classmethod
-    def zeros(cls, num_worlds: int, num_drones: int, num_rotors: int) -> "Swarm":
+    def zeros(
+        cls, num_worlds: int, num_drones: int, num_rotors: int, num_surfaces: int = 0
+    ) -> "Swarm":
         """Make a swarm at rest at the origin, level, with stopped rotors.
 
         Args:
             num_worlds: W.
             num_drones: N.
             num_rotors: R.
+            num_surfaces: S.
         """
-        shape = (num_worlds, num_drones)
-        swarm = cls(*(np.zeros((*shape, size)) for size in (3, 4, 3, 3, num_rotors)))
+        shape, sizes = (num_worlds, num_drones), (3, 4, 3, 3, num_rotors, num_surfaces)
+        swarm = cls(*(np.zeros((*shape, size)) for size in sizes))
         swarm.quaternion[..., 3] = 1
         return swarm
 

@@ -1,0 +1,549 @@
+"""Forces of wings on one aircraft: lift, drag and moment of panels, and its propellers in the air.
+
+A `Wing` has two panels, at the Gauss-Legendre points of its span. Strip theory is exact there for
+moments that are linear or quadratic in the position, such as roll damping. A panel's lift is linear
+in the angle of attack below the stall, and that of an inclined flat plate above it; a cubic blends
+them. The flow along the span is neglected (independence principle).
+
+Sines and cosines of the angle of attack are ratios of velocities, so no angle is computed.
+
+References:
+    W. Khan, M. Nahon, Real-time modeling of agile fixed-wing UAV aerodynamics, ICUAS 2015: the
+    forces beyond the stall (after Lindenburg), and the shift of the zero-lift angle by flaps.
+    R. Beard, T. McLain, Small Unmanned Aircraft, Princeton 2012: the blend of both laws.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from bulletuav.compiled.functions import atan2, cos, exp, sin
+from bulletuav.compiled.kernel import func
+from bulletuav.compiled.lanes import is_any, where
+from bulletuav.compiled.plain import record_type
+from bulletuav.geometry.rotation import Quat4Like, Vec3, Vec3Like, axes, cross, dot, minus, plus
+from bulletuav.vehicle.airframe import DENSITY, MAX_ROTORS, MAX_WINGS, Airframe, Wing
+from bulletuav.vehicle.parameters import ParameterRow
+from bulletuav.vehicle.wrench import Surroundings
+
+MAX_PANELS = 2 * MAX_WINGS
+"""Maximum number of panels of an airframe: two for each wing."""
+MAX_SURFACES = MAX_WINGS
+"""Maximum number of control surfaces of an airframe."""
+PANEL_POINT = 0.5 / math.sqrt(3.0)
+"""Distance of a panel from the middle of its wing, as a fraction of the span (Gauss-Legendre)."""
+FLAT_PLATE_DRAG = 1.98
+"""Normal force coefficient of a long flat plate at right angles to the flow (Hoerner 1965)."""
+FLAP_EFFICIENCY = 0.7
+"""Viscous efficiency of control surfaces; in Khan and Nahon it falls from 0.8 to 0.4 with the
+deflection."""
+STALL_SHIFT = 0.5
+"""Fraction of a flap's shift of the zero-lift angle by which it shifts the stall angle (our choice:
+a flap raises the maximum lift by half of what it adds at small angles)"""
+STALL_WIDTH = math.radians(10.0)
+"""Range of the angle of attack in which the flow separates, rad (our choice)."""
+_SLOWEST = 1e-12
+"""Added to squared speeds, so that a panel at rest has an angle of attack, m^2/s^2."""
+
+WINGS = record_type(
+    [
+        ("num_panels", "i8"),
+        ("num_surfaces", "i8"),
+        ("panel_surface", "i8", MAX_PANELS),
+        ("forward", "f8", MAX_ROTORS),
+        ("rotor_z", "f8", MAX_ROTORS),
+        ("thrust_slope", "f8"),
+        ("jet_area", "f8"),
+        ("chord_axis", "f8", (MAX_PANELS, 3)),
+        ("normal", "f8", (MAX_PANELS, 3)),
+        ("chord_arm", "f8", (MAX_PANELS, 3)),
+        ("normal_arm", "f8", (MAX_PANELS, 3)),
+        ("moment_axis", "f8", (MAX_PANELS, 3)),
+        ("half_density_area", "f8", MAX_PANELS),
+        ("lift_slope", "f8", MAX_PANELS),
+        ("zero_lift", "f8", MAX_PANELS),
+        ("stall", "f8", MAX_PANELS),
+        ("induced", "f8", MAX_PANELS),
+        ("drag", "f8", MAX_PANELS),
+        ("moment", "f8", MAX_PANELS),
+        ("plate", "f8", MAX_PANELS),
+        ("downwash", "f8", (MAX_PANELS, 2)),
+        ("slipstream", "f8", MAX_PANELS),
+        ("flap_lift", "f8", MAX_PANELS),
+        ("flap_moment", "f8", MAX_PANELS),
+        ("surface_low", "f8", MAX_SURFACES),
+        ("surface_high", "f8", MAX_SURFACES),
+        ("surface_rate", "f8", MAX_SURFACES),
+    ]
+)
+"""Type of the rows; `WingRow` documents the fields."""
+
+
+class WingRow(Protocol):
+    """One row of `WINGS` as compiled functions see it, SI units, body axes FLU.
+
+    Attributes:
+        num_panels: Number of panels P; 0 for a multirotor. Arrays are padded with zeros.
+        num_surfaces: Number of control surfaces.
+        panel_surface: (MAX_PANELS,) index of the control surface on each panel, 0 for none.
+        forward: (MAX_ROTORS,) 1 for a rotor with thrust along +x, 0 for one along +z.
+        rotor_z: (MAX_ROTORS,) position of each rotor along z, m.
+        thrust_slope: Fall of the thrust of forward rotors with airspeed, k_z / k_f, rad/m.
+        jet_area: Disc area of all forward rotors, m^2; 0 without any.
+        chord_axis: (MAX_PANELS, 3) unit vector along the chord, towards the leading edge.
+        normal: (MAX_PANELS, 3) unit vector across the panel.
+        chord_arm: (MAX_PANELS, 3) moment of a unit force along the chord, m.
+        normal_arm: (MAX_PANELS, 3) moment of a unit force along the normal, m.
+        moment_axis: (MAX_PANELS, 3) moment of a unit pitching moment coefficient per force, m.
+        half_density_area: (MAX_PANELS,) density / 2 times area, kg/m.
+        lift_slope: (MAX_PANELS,) lift coefficient per angle of attack below the stall, 1/rad.
+        zero_lift: (MAX_PANELS,) angle of attack without lift, rad.
+        stall: (MAX_PANELS,) angle from the zero-lift angle at which the stall begins, rad.
+        induced: (MAX_PANELS,) induced drag coefficient per squared lift coefficient.
+        drag: (MAX_PANELS,) drag coefficient without lift.
+        moment: (MAX_PANELS,) pitching moment coefficient about the quarter chord.
+        plate: (MAX_PANELS,) reduction of the flat plate's normal force by the aspect ratio.
+        downwash: (MAX_PANELS, 2) angle by which a wing ahead turns the flow down, per angle of
+            attack of the body, and at an angle of 0, rad.
+        slipstream: (MAX_PANELS,) fraction of the panel in the slipstream of the forward rotors.
+        flap_lift: (MAX_PANELS,) change of the angle of attack per deflection.
+        flap_moment: (MAX_PANELS,) change of the moment coefficient per deflection, 1/rad.
+        surface_low: (MAX_SURFACES,) lowest deflection, rad.
+        surface_high: (MAX_SURFACES,) highest deflection, rad.
+        surface_rate: (MAX_SURFACES,) rate of the servo, rad/s.
+    """
+
+    num_panels: int
+    num_surfaces: int
+    panel_surface: np.ndarray
+    forward: np.ndarray
+    rotor_z: np.ndarray
+    thrust_slope: float
+    jet_area: float
+    chord_axis: np.ndarray
+    normal: np.ndarray
+    chord_arm: np.ndarray
+    normal_arm: np.ndarray
+    moment_axis: np.ndarray
+    half_density_area: np.ndarray
+    lift_slope: np.ndarray
+    zero_lift: np.ndarray
+    stall: np.ndarray
+    induced: np.ndarray
+    drag: np.ndarray
+    moment: np.ndarray
+    plate: np.ndarray
+    downwash: np.ndarray
+    slipstream: np.ndarray
+    flap_lift: np.ndarray
+    flap_moment: np.ndarray
+    surface_low: np.ndarray
+    surface_high: np.ndarray
+    surface_rate: np.ndarray
+
+
+def wing_rows(airframes: Sequence[Airframe]) -> np.ndarray | None:
+    """Make the rows of wing constants that compiled functions read.
+
+    Args:
+        airframes: Airframe of each of N drones.
+
+    Returns:
+        (N,) rows of `WINGS`, or None if no airframe has wings: compiled functions without wings are
+        then used.
+    """
+    if not any(airframe.wings for airframe in airframes):
+        return None
+    rows = np.zeros(len(airframes), dtype=WINGS)
+    for row, airframe in zip(rows, airframes, strict=True):
+        forward = list(airframe.forward_rotors)
+        row["forward"][forward] = 1.0
+        row["rotor_z"][: len(airframe.rotor_heights)] = airframe.rotor_heights
+        row["thrust_slope"] = airframe.drag_z / airframe.thrust_coefficient
+        row["jet_area"] = len(forward) * math.pi * airframe.propeller_radius**2
+        row["num_panels"] = 2 * len(airframe.wings)
+        for k, wing in enumerate(airframe.wings):
+            angle = _zero_downwash(airframe.wings)
+            for p, side in ((2 * k, -1.0), (2 * k + 1, 1.0)):
+                _write_panel(row, p, side, wing, angle)
+            if wing.surface is not None:
+                number = row["num_surfaces"]
+                row["panel_surface"][2 * k : 2 * k + 2] = number
+                row["surface_low"][number] = wing.surface.low
+                row["surface_high"][number] = wing.surface.high
+                row["surface_rate"][number] = wing.surface.rate
+                row["num_surfaces"] += 1
+    return rows
+
+
+class WingTable(NamedTuple):
+    """Wings of W worlds of N drones.
+
+    Attributes:
+        rows: (A,) rows of `WINGS`, one for each kind of airframe.
+        kind: (W, N) index of the row of each drone.
+    """
+
+    rows: np.ndarray
+    kind: np.ndarray
+
+    @classmethod
+    def of(cls, airframes: Sequence[Airframe], num_worlds: int) -> "WingTable | None":
+        """Make the table of the airframe of each of N drones; None if none has wings."""
+        kinds = list({id(one): one for one in airframes}.values())
+        rows = wing_rows(kinds)
+        if rows is None:
+            return None
+        numbers = [next(k for k, kind in enumerate(kinds) if kind is one) for one in airframes]
+        return cls(rows, np.tile(np.array(numbers), (num_worlds, 1)))
+
+
+def _zero_downwash(wings: Sequence[Wing]) -> float:
+    """Return the angle of attack of the largest wing, from its zero-lift angle, of a body at 0."""
+    ahead = [wing for wing in wings if wing.downwash == 0.0]
+    main = max(ahead, key=lambda wing: wing.span * wing.chord, default=None)
+    return 0.0 if main is None else main.incidence - main.zero_lift
+
+
+def _write_panel(row: np.record, p: int, side: float, wing: Wing, zero_downwash: float) -> None:
+    """Write the constants of a panel, on the negative or positive side of its wing."""
+    span: Vec3 = (0.0, cos(wing.dihedral), sin(wing.dihedral))
+    up: Vec3 = (0.0, -span[2], span[1])
+    # The incidence turns the leading edge up
+    ahead: Vec3 = (cos(wing.incidence), 0.0, 0.0)
+    chord_axis = plus(ahead, sin(wing.incidence), up)
+    normal = plus((-sin(wing.incidence), 0.0, 0.0), cos(wing.incidence), up)
+    point = plus(wing.position, side * PANEL_POINT * wing.span, span)
+    row["chord_axis"][p] = chord_axis
+    row["normal"][p] = normal
+    row["chord_arm"][p] = cross(point, chord_axis)
+    row["normal_arm"][p] = cross(point, normal)
+    # A positive moment turns the leading edge up, which is negative about +y of a level wing
+    row["moment_axis"][p] = [-wing.chord * one for one in cross(normal, chord_axis)]
+    row["half_density_area"][p] = 0.25 * DENSITY * wing.span * wing.chord
+    row["lift_slope"][p] = wing.lift_slope
+    row["zero_lift"][p] = wing.zero_lift
+    row["stall"][p] = wing.stall
+    row["induced"][p] = 1.0 / (math.pi * wing.efficiency * wing.aspect_ratio)
+    row["drag"][p] = wing.drag
+    row["moment"][p] = wing.moment
+    row["plate"][p] = 0.41 * (1.0 - exp(-17.0 / wing.aspect_ratio))
+    # The downwash is vertical, and so not felt by fins
+    row["downwash"][p] = wing.downwash * normal[2], wing.downwash * normal[2] * zero_downwash
+    row["slipstream"][p] = wing.slipstream
+    if wing.surface is not None:
+        lift, moment = flap_derivatives(wing.surface.chord_fraction)
+        row["flap_lift"][p] = FLAP_EFFICIENCY * lift
+        row["flap_moment"][p] = FLAP_EFFICIENCY * moment
+
+
+def flap_derivatives(fraction: float) -> tuple[float, float]:
+    """Compute the effect of a plain flap by thin airfoil theory.
+
+    Args:
+        fraction: Chord of the flap divided by that of the wing, from 0 to 1.
+
+    Returns:
+        Change of the angle of attack per deflection, and change of the moment coefficient about the
+        quarter chord per deflection, 1/rad. A positive deflection moves the trailing edge down.
+
+    References:
+        H. Glauert, Theoretical relationships for an aerofoil with hinged flap, ARC R&M 1095 (1927).
+    """
+    # Cosine and sine of the hinge's angle on the circle over the chord
+    cosine = 2.0 * fraction - 1.0
+    sine = math.sqrt(1.0 - cosine * cosine)
+    lift = 1.0 - (float(atan2(sine, cosine)) - sine) / math.pi
+    return lift, -0.5 * sine * (1.0 - cosine)
+
+
+@func
+def deflection_after(deflection: float, command: float, k: int, dt: float, wing: WingRow) -> float:
+    """Return the deflection of control surface k after a step, limited in rate and range, rad."""
+    reach = wing.surface_rate[k] * dt
+    moved = min(max(command, deflection - reach), deflection + reach)
+    limited: float = min(max(moved, wing.surface_low[k]), wing.surface_high[k])
+    return limited
+
+
+@func
+def panel_coefficients(
+    sine: float, cosine: float, shift: float, moment: float, p: int, wing: WingRow
+) -> tuple[float, float, float]:
+    """Compute the lift, drag and moment coefficients of panel p.
+
+    Args:
+        sine: Sine of the angle of attack.
+        cosine: Cosine of the angle of attack; negative if the air comes from behind.
+        shift: Change of the angle of attack by the control surface, rad.
+        moment: Change of the moment coefficient by the control surface.
+        p: Index of the panel.
+        wing: Row of `WINGS`.
+
+    Returns:
+        The coefficients; the moment is about the quarter chord, positive if it raises the leading
+        edge.
+    """
+    # Attached flow. The series of the arcsine is exact to 4e-4 rad up to 20 degrees
+    angle = sine * (1.0 + sine * sine * (1.0 / 6.0)) - wing.zero_lift[p]
+    lift = wing.lift_slope[p] * (angle + shift)
+    drag = wing.drag[p] + wing.induced[p] * lift * lift
+    pitch = wing.moment[p] + moment
+    beyond = abs(angle + STALL_SHIFT * shift) - wing.stall[p]
+    is_apart = where(cosine > 0.0, beyond, 1.0) > 0.0
+    # In most flights, the flow is attached in all lanes
+    if is_any(is_apart):
+        # Separated flow: an inclined flat plate, with friction along the chord
+        size = abs(sine)
+        across = FLAT_PLATE_DRAG * sine * (1.0 / (0.56 + 0.44 * size) - wing.plate[p])
+        along = 0.5 * wing.drag[p] * cosine
+        plate_lift = across * cosine - along * sine
+        plate_drag = across * sine + along * cosine
+        # The centre of pressure moves from the quarter chord to three quarters, as the air turns
+        # from ahead to behind
+        turn = where(cosine > 0.0, 0.175, -0.175)
+        plate_pitch = across * (turn * (1.0 - size) - 0.25)
+        # Smooth step from attached to separated flow
+        step = where(cosine > 0.0, min(max(beyond * (1.0 / STALL_WIDTH), 0.0), 1.0), 1.0)
+        apart = step * step * (3.0 - 2.0 * step)
+        lift = where(is_apart, lift + apart * (plate_lift - lift), lift)
+        drag = where(is_apart, drag + apart * (plate_drag - drag), drag)
+        pitch = where(is_apart, pitch + apart * (plate_pitch - pitch), pitch)
+    return lift, drag, pitch
+
+
+@func
+def panel_forces(
+    ahead: float, down: float, shift: float, moment: float, p: int, wing: WingRow
+) -> tuple[float, float, float]:
+    """Compute the forces on panel p along its chord and its normal, and its pitching moment.
+
+    Args:
+        ahead: Velocity of the panel through the air along its chord, m/s.
+        down: Velocity of the panel through the air against its normal, m/s.
+        shift: Change of the angle of attack by the control surface, rad.
+        moment: Change of the moment coefficient by the control surface.
+        p: Index of the panel.
+        wing: Row of `WINGS`.
+
+    Returns:
+        Forces, N, and the moment about the quarter chord per length of the chord, N.
+    """
+    square = ahead * ahead + down * down + _SLOWEST
+    slow = 1.0 / math.sqrt(square)
+    sine, cosine = down * slow, ahead * slow
+    lift, drag, pitch = panel_coefficients(sine, cosine, shift, moment, p, wing)
+    pressure = wing.half_density_area[p] * square
+    # Lift is across the flow, drag along it
+    forward = pressure * (lift * sine - drag * cosine)
+    upward = pressure * (lift * cosine + drag * sine)
+    return forward, upward, pressure * pitch
+
+
+@func
+def wing_wrench(
+    velocity: Vec3, rates: Vec3, thrust: float, deflection: np.ndarray, k: int, wing: WingRow
+) -> tuple[Vec3, Vec3]:
+    """Compute the force and moment of wing k: of its panels 2 k and 2 k + 1.
+
+    Args:
+        velocity: Velocity of the centre of mass relative to the air, body axes, m/s.
+        rates: Angular velocity, body axes, rad/s.
+        thrust: Thrust of the forward rotors, N.
+        deflection: (S,) deflections of the control surfaces, rad; at least one number.
+        k: Index of the wing.
+        wing: Row of `WINGS`.
+
+    Returns:
+        Force (N) and moment about the centre of mass (N m), body axes.
+    """
+    # Both panels have the same constants but for their arms
+    p, q = 2 * k, 2 * k + 1
+    chord = (wing.chord_axis[p, 0], wing.chord_axis[p, 1], wing.chord_axis[p, 2])
+    normal = (wing.normal[p, 0], wing.normal[p, 1], wing.normal[p, 2])
+    axis = (wing.moment_axis[p, 0], wing.moment_axis[p, 1], wing.moment_axis[p, 2])
+    chord_arm = (wing.chord_arm[p, 0], wing.chord_arm[p, 1], wing.chord_arm[p, 2])
+    normal_arm = (wing.normal_arm[p, 0], wing.normal_arm[p, 1], wing.normal_arm[p, 2])
+    other_chord_arm = (wing.chord_arm[q, 0], wing.chord_arm[q, 1], wing.chord_arm[q, 2])
+    other_normal_arm = (wing.normal_arm[q, 0], wing.normal_arm[q, 1], wing.normal_arm[q, 2])
+    # Velocity through the air, along the chord and against the normal:
+    # (w x r) . n = w . (r x n)
+    ahead = dot(chord, velocity)
+    if wing.slipstream[p] > 0.0:
+        # The fraction of the area in the jet has the mean dynamic pressure of all its parts
+        ahead += slipstream_velocity(wing.slipstream[p] * thrust, velocity[0], wing.jet_area)
+    # The wing ahead turns the flow down by a part of its own angle of attack
+    washed = wing.downwash[p, 0] * velocity[2] - wing.downwash[p, 1] * velocity[0]
+    down = washed - dot(normal, velocity)
+    turned = deflection[wing.panel_surface[p]]
+    shift, moment = wing.flap_lift[p] * turned, wing.flap_moment[p] * turned
+    forward, upward, raised = panel_forces(
+        ahead + dot(chord_arm, rates), down - dot(normal_arm, rates), shift, moment, p, wing
+    )
+    other_forward, other_upward, other_raised = panel_forces(
+        ahead + dot(other_chord_arm, rates),
+        down - dot(other_normal_arm, rates),
+        shift,
+        moment,
+        q,
+        wing,
+    )
+    along, across = forward + other_forward, upward + other_upward
+    both = raised + other_raised
+    force = plus((along * chord[0], along * chord[1], along * chord[2]), across, normal)
+    torque = plus((both * axis[0], both * axis[1], both * axis[2]), forward, chord_arm)
+    torque = plus(torque, upward, normal_arm)
+    torque = plus(torque, other_forward, other_chord_arm)
+    return force, plus(torque, other_upward, other_normal_arm)
+
+
+@func
+def propeller_wrench(
+    velocity: Vec3, rates: Vec3, speed: np.ndarray, row: ParameterRow, wing: WingRow
+) -> tuple[Vec3, Vec3, float]:
+    """Compute the force and torque of rotors along the x and z axes, in air that moves past them.
+
+    The thrust k_f w^2 - k_z w V falls linearly with the advance ratio: V is the velocity along the
+    axis. For rotors along z, k_z is the drag of a rotor along its axis; for forward rotors, it is
+    k_f times `thrust_slope`, which no effect switches off. Across the axis, the drag is k_xy w V.
+
+    Args:
+        velocity: Velocity of the centre of mass relative to the air, body axes, m/s.
+        rates: Angular velocity, body axes, rad/s.
+        speed: (R,) rotor speeds, rad/s.
+        row: Constants of the drone.
+        wing: Row of `WINGS`.
+
+    Returns:
+        Force (N) and torque about the centre of mass (N m), body axes, and the thrust of the
+        forward rotors (N).
+    """
+    force: Vec3 = (0.0, 0.0, 0.0)
+    torque: Vec3 = (0.0, 0.0, 0.0)
+    # Angular momentum, and thrust along +x
+    along_x, along_z, pushing = 0.0, 0.0, 0.0
+    for r in range(row.num_rotors):
+        now, turn = speed[r], row.rotor_turn[r]
+        point = (row.rotor_x[r], row.rotor_y[r], wing.rotor_z[r])
+        v = plus(velocity, 1.0, cross(rates, point))
+        thrust = row.thrust_coefficient * (now * now)
+        across = row.drag_xy * now
+        reaction = row.torque_coefficient * turn * (now * now)
+        # A rotor spins opposite to the torque that it exerts on the body
+        momentum = -row.rotor_inertia * turn * now
+        if wing.forward[r] > 0.0:
+            slope = row.thrust_coefficient * wing.thrust_slope
+            pushed = (thrust - slope * now * v[0], -across * v[1], -across * v[2])
+            pushing += pushed[0]
+            along_x += momentum
+            torque = (torque[0] + reaction, torque[1], torque[2])
+        else:
+            pushed = (-across * v[0], -across * v[1], thrust - row.drag_z * now * v[2])
+            along_z += momentum
+            torque = (torque[0], torque[1], torque[2] + reaction)
+        force = plus(force, 1.0, pushed)
+        torque = plus(torque, 1.0, cross(point, pushed))
+    # Gyroscopic torque of the spinning rotors
+    return force, minus(torque, cross(rates, (along_x, 0.0, along_z))), pushing
+
+
+@func
+def add_winding(
+    around: Surroundings,
+    begin: np.ndarray,
+    end: np.ndarray,
+    dt: float,
+    row: ParameterRow,
+    wing: WingRow,
+) -> Surroundings:
+    """Add the torque J dw/dt of accelerating rotors to the external torque of a substep.
+
+    Args:
+        around: External influences on the drone.
+        begin: (R,) rotor speeds at the begin of the substep, rad/s.
+        end: (R,) rotor speeds at its end, rad/s.
+        dt: Duration of the substep, s.
+        row: Constants of the drone.
+        wing: Row of `WINGS`.
+
+    Returns:
+        The influences, with the mean torque of the substep.
+    """
+    if wing.num_panels == 0:  # `rotor_wrench` has this torque
+        return around
+    wind, surface, gravity, push, twist = around
+    x, z = 0.0, 0.0
+    for r in range(row.num_rotors):
+        wound = row.rotor_inertia * row.rotor_turn[r] * (end[r] - begin[r]) * (1.0 / dt)
+        if wing.forward[r] > 0.0:
+            x += wound
+        else:
+            z += wound
+    return wind, surface, gravity, push, (twist[0] + x, twist[1], twist[2] + z)
+
+
+@func
+def slipstream_velocity(thrust: float, airspeed: float, area: float) -> float:
+    """Return the velocity that rotors add to the air far behind them, by momentum theory, m/s.
+
+    Args:
+        thrust: Their thrust T, N; negative thrust adds none.
+        airspeed: Velocity V along their axis, m/s; negative is treated as 0.
+        area: Area A of their discs, m^2; 0 for no rotors.
+
+    Returns:
+        sqrt(V^2 + 2 T / (density A)) - V.
+    """
+    ahead = max(airspeed, 0.0)
+    # All drones of a block have the same area
+    per_thrust = 2.0 / DENSITY / area if area > 0.0 else 0.0
+    return math.sqrt(ahead * ahead + per_thrust * max(thrust, 0.0)) - ahead
+
+
+@func
+def winged_wrench(
+    quaternion: Quat4Like,
+    velocity: Vec3Like,
+    rates: Vec3,
+    speed: np.ndarray,
+    deflection: np.ndarray,
+    around: Surroundings,
+    row: ParameterRow,
+    wing: WingRow,
+) -> tuple[Vec3, Vec3]:
+    """Compute force and torque on one aircraft with wings; it has no ground effect.
+
+    Args:
+        quaternion: Attitude, body to world.
+        velocity: Velocity, world axes, m/s.
+        rates: Angular velocity, body axes, rad/s.
+        speed: (R,) rotor speeds, rad/s.
+        deflection: (S,) deflections of the control surfaces, rad; at least one number.
+        around: External influences on the drone.
+        row: Constants of the drone.
+        wing: Row of `WINGS`.
+
+    Returns:
+        The force, world axes, N, and the torque, body axes, N m. The torque contains damping and
+        the gyroscopic torque of the rotors, but not that of the body.
+    """
+    wind, _, gravity, push, twist = around
+    ahead, left, up = axes(quaternion)
+    air = minus(velocity, wind)
+    v = (dot(ahead, air), dot(left, air), dot(up, air))
+    force, torque, thrust = propeller_wrench(v, rates, speed, row, wing)
+    for k in range(wing.num_panels // 2):
+        lifted, turned = wing_wrench(v, rates, thrust, deflection, k, wing)
+        force = plus(force, 1.0, lifted)
+        torque = plus(torque, 1.0, turned)
+    # Drag of the fuselage
+    size = math.sqrt(dot(v, v))
+    flat, steep = size * row.body_drag_xy, size * row.body_drag_z
+    body = (force[0] - flat * v[0], force[1] - flat * v[1], force[2] - steep * v[2])
+    return (
+        ahead[0] * body[0] + left[0] * body[1] + up[0] * body[2] + push[0],
+        ahead[1] * body[0] + left[1] * body[1] + up[1] * body[2] + push[1],
+        ahead[2] * body[0] + left[2] * body[1] + up[2] * body[2] + push[2] - row.mass * gravity,
+    ), plus(torque, 1.0, twist)
