@@ -5,12 +5,18 @@ any number of visuals) it contains `<airframe>` with the tags of `Airframe`, and
 spin>` for each rotor; see assets/urdf. Tags that a file leaves out get the values that
 `bulletuav.vehicle.scaling` computes from size and disc loading.
 
+An aircraft with wings has one `<wing name x y z span chord ...>` for each `Wing`, and within it
+`<surface name chord low high rate>` if it has a control surface. Its rotors have `z` as well, and
+`axis="x"` if they push forward.
+
 Names are those of the files in assets/urdf, and those that are registered as kind "airframe" (see
 `bulletuav.registry`), as an `Airframe` or as the path of a URDF.
 """
 
 import functools
+import math
 from pathlib import Path
+from xml.etree.ElementTree import Element
 
 import numpy as np
 
@@ -18,15 +24,22 @@ from bulletuav.errors import printable_text, require_file, shown, unknown
 from bulletuav.geometry.obstacle import DEFAULT_FRICTION, MAX_FRICTION
 from bulletuav.registry import find, register
 from bulletuav.vehicle.airframe import (
+    ABOVE_ZERO,
     MAX_ROTORS,
+    MAX_WINGS,
     MIN_ROTORS,
     STANDARD_GRAVITY,
+    SURFACE_BOUNDS,
+    WING_BOUNDS,
     Airframe,
+    ControlSurface,
     Pack,
     Pwm,
+    Wing,
     hover_speed,
 )
-from bulletuav.vehicle.scaling import scaled_constants
+from bulletuav.vehicle.envelope import find_envelope
+from bulletuav.vehicle.scaling import scaled_constants, without_rotor_effects
 from bulletuav.vehicle.urdf import MAX_LENGTH, MAX_MAGNITUDE, UrdfFile
 
 _PACKAGE = Path(__file__).parents[1]
@@ -58,8 +71,19 @@ TAGS = (
     "rotor",
     "pwm",
     "contact",
+    "wing",
 )
 """Tags within `<airframe>`."""
+TAGS_WITHOUT_WINGS = ("rate_damping", "ground_effect", "wake")
+"""Tags that have no effect on an airframe with wings, see `scaling.without_rotor_effects`."""
+_NO_EFFECT = "it has no effect on an airframe with wings: remove it"
+"""Reason and remedy of errors."""
+ROTOR_ATTRIBUTES = ("x", "y", "z", "spin", "axis")
+"""Attributes of `<rotor>` next to wings."""
+WING_ATTRIBUTES = ("name", "x", "y", "z", *WING_BOUNDS)
+"""Attributes of `<wing>`."""
+SURFACE_ATTRIBUTES = ("name", "chord", "low", "high", "rate")
+"""Attributes of `<surface>`."""
 MAX_MASS = 1e5
 """Maximum mass, kg."""
 MAX_DRONE_SPEED = 1000.0
@@ -160,7 +184,8 @@ def _read_airframe(path: Path) -> Airframe:
     # Each number is read within the domain of the dynamics.
     mass = urdf.number(urdf.element("link/inertial/mass"), "value", low=0, most=MAX_MASS)
     inertia = urdf.inertia()
-    rotors = _read_rotors(urdf)
+    wings = _read_wings(urdf)
+    rotors = _read_rotors(urdf, bool(wings))
     thrust_coefficient = _read_positive(urdf, "thrust_coefficient", MAX_MAGNITUDE)
     drag_xy = _read_non_negative(urdf, "rotor_drag", "xy", MAX_ROTOR_DRAG)
     propeller_radius = _read_positive(urdf, "propeller_radius", MAX_LENGTH)
@@ -172,6 +197,8 @@ def _read_airframe(path: Path) -> Airframe:
         propeller_radius,
         hover_speed(mass * STANDARD_GRAVITY, len(rotors), thrust_coefficient),
     )
+    if wings:
+        defaults = without_rotor_effects(defaults, propeller_radius)
     near = _read_optional(
         urdf, "ground_effect", {"reach": MAX_LENGTH}, {"gain": 1.0}, defaults.ground_effect
     )
@@ -219,6 +246,9 @@ def _read_airframe(path: Path) -> Airframe:
         pwm=_read_pwm(urdf),
         friction=_read_contact(urdf, "friction", DEFAULT_FRICTION, MAX_FRICTION),
         restitution=_read_contact(urdf, "restitution", 0.0, 1.0),
+        wings=wings,
+        forward_rotors=_read_forward_rotors(urdf),
+        rotor_heights=_read_rotor_heights(urdf) if wings else (),
     )
     _require_flyable(urdf, airframe)
     return airframe
@@ -293,17 +323,31 @@ def _read_pack(urdf: UrdfFile) -> Pack | None:
     )
 
 
-def _read_rotors(urdf: UrdfFile) -> tuple[tuple[float, float, int], ...]:
+def _read_rotors(urdf: UrdfFile, winged: bool) -> tuple[tuple[float, float, int], ...]:
     """Read the position (m) and direction of rotation of each rotor."""
     elements = urdf.root.findall("airframe/rotor")
-    if not MIN_ROTORS <= len(elements) <= MAX_ROTORS:
-        reason = f"between {MIN_ROTORS} and {MAX_ROTORS} rotors are supported"
+    fewest = 1 if winged else MIN_ROTORS
+    if not fewest <= len(elements) <= MAX_ROTORS:
+        reason = f"between {fewest} and {MAX_ROTORS} rotors are supported"
         raise urdf.make_error("rotor", f"there {len(elements)} times", reason)
     turns = {"cw": 1, "ccw": -1}
     for element in elements:
         if element.get("spin") not in turns:
             spin = element.get("spin", "missing")
-            raise urdf.make_error("rotor spin", spin, "it must be cw or ccw, seen from above")
+            raise urdf.make_error(
+                "rotor spin",
+                spin,
+                "it must be cw or ccw, seen from the side that its thrust points to",
+            )
+        if winged:
+            _require_known_attributes(urdf, element, ROTOR_ATTRIBUTES)
+            if element.get("axis", "z") not in ("x", "z"):
+                raise urdf.make_error("rotor axis", element.get("axis"), "it must be x or z")
+        else:
+            for name in ("z", "axis"):
+                if name in element.attrib:
+                    reason = "it has no effect without wings: remove it"
+                    raise urdf.make_error(f"rotor {name}", element.get(name), reason)
     return tuple(
         (
             urdf.number(element, "x", most=MAX_LENGTH),
@@ -312,6 +356,141 @@ def _read_rotors(urdf: UrdfFile) -> tuple[tuple[float, float, int], ...]:
         )
         for element in elements
     )
+
+
+def _read_forward_rotors(urdf: UrdfFile) -> tuple[int, ...]:
+    """Read the indices of the rotors whose thrust is along x."""
+    elements = urdf.root.findall("airframe/rotor")
+    return tuple(k for k, element in enumerate(elements) if element.get("axis") == "x")
+
+
+def _read_rotor_heights(urdf: UrdfFile) -> tuple[float, ...]:
+    """Read the position z of each rotor, m; 0 for a rotor without."""
+    return tuple(
+        urdf.number(element, "z", most=MAX_LENGTH) if "z" in element.attrib else 0.0
+        for element in urdf.root.findall("airframe/rotor")
+    )
+
+
+def _read_wings(urdf: UrdfFile) -> tuple[Wing, ...]:
+    """Read the wings; none for a multirotor."""
+    elements = urdf.root.findall("airframe/wing")
+    if len(elements) > MAX_WINGS:
+        reason = f"at most {MAX_WINGS} wings are supported"
+        raise urdf.make_error("wing", f"there {len(elements)} times", reason)
+    if elements:
+        for tag in TAGS_WITHOUT_WINGS:
+            if urdf.root.find(f"airframe/{tag}") is not None:
+                raise urdf.make_error(f"airframe/{tag}", "there", _NO_EFFECT)
+        height = _read_drag_height(urdf)
+        if height:
+            raise urdf.make_error("rotor_drag height", height, _NO_EFFECT)
+    wings = tuple(_read_wing(urdf, element) for element in elements)
+    _require_different_names(urdf, "wing", [wing.name for wing in wings])
+    surfaces = [wing.surface.name for wing in wings if wing.surface is not None]
+    _require_different_names(urdf, "surface", surfaces)
+    return wings
+
+
+def _read_wing(urdf: UrdfFile, element: Element) -> Wing:
+    """Read one wing.
+
+    The aspect ratio is the span divided by the chord if the file has none, and the lift slope that
+    of Helmbold's equation.
+
+    References:
+        H. B. Helmbold, Jahrbuch der Deutschen Luftfahrtforschung 1942; USAF Stability and Control
+        DATCOM, 4.1.3.2, whose formula is the same for unswept wings with a section slope of 2 pi.
+    """
+    _require_known_attributes(urdf, element, WING_ATTRIBUTES)
+    name = _read_name(urdf, element)
+    x, y, z = (urdf.number(element, key, most=MAX_LENGTH) for key in "xyz")
+    span, chord = (_read_bounded(urdf, element, key, WING_BOUNDS[key]) for key in ("span", "chord"))
+    defaults = {
+        "dihedral": 0.0,
+        "incidence": 0.0,
+        "aspect_ratio": span / chord,
+        "downwash": 0.0,
+        "slipstream": 0.0,
+    }
+    values = {"span": span, "chord": chord}
+    for key, bounds in WING_BOUNDS.items():
+        if key in element.attrib or key not in (*defaults, "lift_slope"):
+            values[key] = _read_bounded(urdf, element, key, bounds)
+        elif key != "lift_slope":
+            values[key] = defaults[key]
+    values.setdefault("lift_slope", helmbold_slope(values["aspect_ratio"]))
+    return Wing(name=name, position=(x, y, z), surface=_read_surface(urdf, element), **values)
+
+
+def helmbold_slope(aspect_ratio: float) -> float:
+    """Compute the lift slope of a straight wing by Helmbold's equation, 1/rad.
+
+    Args:
+        aspect_ratio: Square of the span divided by the area.
+
+    Returns:
+        2 pi A / (2 + sqrt(4 + A^2)): 2 pi for a long wing, pi A / 2 for a short one.
+    """
+    root = math.sqrt(4.0 + aspect_ratio * aspect_ratio)
+    return 2.0 * math.pi * aspect_ratio / (2.0 + root)
+
+
+def _read_surface(urdf: UrdfFile, wing: Element) -> ControlSurface | None:
+    """Read the control surface of a wing, None if it has none."""
+    for child in wing:
+        if isinstance(child.tag, str) and child.tag != "surface":
+            reason = str(unknown("tag", child.tag, ("surface",)))
+            raise urdf.make_error(f"wing/{child.tag}", "unknown", reason)
+    elements = wing.findall("surface")
+    if not elements:
+        return None
+    if len(elements) > 1:
+        reason = "a wing has at most one control surface: divide the wing"
+        raise urdf.make_error("surface", f"there {len(elements)} times", reason)
+    element = elements[0]
+    _require_known_attributes(urdf, element, SURFACE_ATTRIBUTES)
+    name = _read_name(urdf, element)
+    chord = _read_bounded(urdf, element, "chord", SURFACE_BOUNDS["chord_fraction"])
+    low, high, rate = (
+        _read_bounded(urdf, element, key, SURFACE_BOUNDS[key]) for key in ("low", "high", "rate")
+    )
+    return ControlSurface(name=name, chord_fraction=chord, low=low, high=high, rate=rate)
+
+
+def _read_bounded(urdf: UrdfFile, element: Element, key: str, bounds: tuple[float, float]) -> float:
+    """Read a number of a wing or control surface from its lowest to its highest value."""
+    low, most = bounds
+    strict = key in ABOVE_ZERO
+    value = urdf.number(element, key, low=low, strict=strict, most=max(-low, most))
+    if value > most:
+        raise urdf.make_error(f"{element.tag} {key}", element.get(key), f"at most {most:g}")
+    return value
+
+
+def _read_name(urdf: UrdfFile, element: Element) -> str:
+    """Read the name of a wing or control surface, which messages and labels use."""
+    name = element.get("name", "")
+    if not name:
+        reason = "each needs a name for messages, such as left wing"
+        raise urdf.make_error(f"{element.tag} name", "missing", reason)
+    return name
+
+
+def _require_different_names(urdf: UrdfFile, tag: str, names: list[str]) -> None:
+    """Raise ValueError if two wings or control surfaces have the same name."""
+    for name in names:
+        if names.count(name) > 1:
+            reason = "another has the same name: choose a different one"
+            raise urdf.make_error(f"{tag} name", name, reason)
+
+
+def _require_known_attributes(urdf: UrdfFile, element: Element, known: tuple[str, ...]) -> None:
+    """Raise ValueError for unknown attributes, as most have defaults and misspelt ones get lost."""
+    for name in element.attrib:
+        if name not in known:
+            reason = str(unknown("attribute", name, known))
+            raise urdf.make_error(f"{element.tag} {name}", element.get(name), reason)
 
 
 def _read_pwm(urdf: UrdfFile) -> Pwm | None:
@@ -340,22 +519,41 @@ def _read_contact(urdf: UrdfFile, attribute: str, default: float, most: float) -
 
 
 def _require_flyable(urdf: UrdfFile, airframe: Airframe) -> None:
-    """Raise ValueError for airframes that cannot hover, cannot rotate, or are far too strong."""
+    """Raise ValueError for airframes that cannot fly, cannot rotate, or are far too strong."""
     weight = airframe.mass * STANDARD_GRAVITY
-    if airframe.max_thrust <= weight:
+    if airframe.max_thrust <= weight and not airframe.wings:
         thrust = f"{airframe.max_rotor_speed:g} (thrust {airframe.max_thrust:.4g} N)"
         reason = f"the drone weighs {weight:.4g} N and cannot hover"
         raise urdf.make_error("max_rotor_speed", thrust, reason)
-    if airframe.max_thrust > MAX_THRUST_TO_WEIGHT * airframe.mass * STANDARD_GRAVITY:
-        thrust = f"{airframe.thrust_coefficient:g} (thrust {airframe.max_thrust:.4g} N)"
+    square = airframe.max_rotor_speed * airframe.max_rotor_speed
+    total = len(airframe.rotors) * airframe.thrust_coefficient * square
+    if total > MAX_THRUST_TO_WEIGHT * weight:
+        thrust = f"{airframe.thrust_coefficient:g} (thrust {total:.4g} N)"
         reason = (
             f"the thrust must be at most {MAX_THRUST_TO_WEIGHT:g} times the weight of "
             f"{airframe.mass:g} kg"
         )
         raise urdf.make_error("thrust_coefficient", thrust, reason)
+    if airframe.wings:
+        _require_level_flight(urdf, airframe)
+        if not airframe.can_hover:
+            return
     if np.linalg.matrix_rank(airframe.allocation()) < 4:
         reason = "these rotors cannot control the torque about all three axes"
         raise urdf.make_error("rotor", airframe.rotors, reason)
+
+
+def _require_level_flight(urdf: UrdfFile, airframe: Airframe) -> None:
+    """Raise ValueError for an airframe with wings that cannot fly level on them as it should.
+
+    A multirotor with wings and no forward rotor need not.
+    """
+    if airframe.can_hover and not airframe.forward_rotors:
+        return
+    try:
+        find_envelope(airframe)
+    except ValueError as error:
+        raise urdf.make_error("airframe", "not able to fly on its wings", str(error)) from None
 
 
 # Register the paths of the package's airframes; each file is read when it is first used.

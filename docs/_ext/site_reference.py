@@ -25,6 +25,7 @@ from bulletuav.commands import task_description as description  # noqa: E402
 from bulletuav.envs.options import EnvOptions  # noqa: E402
 from bulletuav.registry import PACKAGES, find, names  # noqa: E402
 from bulletuav.tasks import find_task  # noqa: E402
+from bulletuav.vehicle.envelope import find_envelope  # noqa: E402
 
 REFERENCE = ROOT / "docs" / "reference"
 RESULTS = ROOT / "docs" / "results"
@@ -245,14 +246,16 @@ def airframes_page() -> str:
     for name in bulletuav.available_airframes():
         one = bulletuav.load_airframe(name)
         weight = one.mass * 9.80665
-        thrust = len(one.rotors) * one.thrust_coefficient * one.max_rotor_speed**2
+        span = max((wing.position[1] + wing.span / 2 for wing in one.wings), default=0.0)
         rows.append(
             (
                 f"[`{name}`](../../assets/urdf/{name}.urdf)",
                 f"{1000 * one.mass:.0f}",
                 len(one.rotors),
                 f"{1000 * one.propeller_radius:.0f}",
-                f"{thrust / weight:.2f}",
+                f"{one.max_thrust / weight:.2f}",
+                f"{2 * span:.2g}" if one.wings else "",
+                f"{find_envelope(one).stall_speed:.1f}" if one.wings else "",
                 f"{one.max_speed:g}",
             )
         )
@@ -261,12 +264,15 @@ def airframes_page() -> str:
         "mass, g",
         "rotors",
         "propeller radius, mm",
-        "thrust to weight",
+        "thrust along z to weight",
+        "span, m",
+        "stall speed, m/s",
         "max speed, m/s",
     )
     return (
         "# Airframes\n\nThe option `airframe` takes a name, the path of a URDF file, or an "
-        "`Airframe`. Each file lists the sources of its constants.\n\n"
+        "`Airframe`. Each file lists the sources of its constants. Those with a span have "
+        "[wings](../explanation/wings.md).\n\n"
     ) + rows_table(headings, rows)
 
 

@@ -56,7 +56,7 @@ COUNTER_CLOCKWISE = {
 }
 
 
-@pytest.mark.parametrize("name", available_airframes())
+@pytest.mark.parametrize("name", bench.MULTIROTORS)
 def test_rotors_spin_as_published(name):
     """A mirrored set flies as well, and yaws logged rotor speeds the wrong way."""
     airframe = load_airframe(name)
