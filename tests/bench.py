@@ -2,7 +2,9 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
+from bulletuav.control.autopilot import autopilot_rows
 from bulletuav.control.cascade import Cascade
 from bulletuav.control.gains import gain_rows
 from bulletuav.control.setpoint import SetpointLevel
@@ -13,7 +15,10 @@ from bulletuav.vehicle.airframe import STANDARD_GRAVITY
 from bulletuav.vehicle.airframes import available_airframes, load_airframe
 from bulletuav.vehicle.parameters import DEFAULT_EFFECTS, parameter_rows
 from bulletuav.vehicle.swarm import ObstacleMotion, Swarm
+from bulletuav.vehicle.wings import WingTable
 
+MULTIROTORS = [name for name in available_airframes() if not load_airframe(name).wings]
+"""Airframes of the package that hover without wings"""
 FLIGHTS = [
     (name, contacts)
     for name in DYNAMICS
@@ -29,7 +34,7 @@ def ranges(shots):
     Each airframe flies in two of them, and each flight with two airframes or more. All of them
     together have 1,000 shots each, which takes long.
     """
-    for k, airframe in enumerate(available_airframes()):
+    for k, airframe in enumerate(MULTIROTORS):
         for j, flight in enumerate(FLIGHTS):
             if (j - k) % len(FLIGHTS) in (0, 3):
                 yield pytest.param(airframe, *flight, shots)
@@ -70,8 +75,10 @@ class Bench:
         friction=0.5,
         restitution=0.0,
     ):
-        self.airframe = load_airframe(airframe)
-        airframes = [self.airframe] * drones
+        # A tuple has one airframe for each drone
+        given = airframe if isinstance(airframe, tuple) else (airframe,) * drones
+        airframes, drones = [load_airframe(one) for one in given], len(given)
+        self.airframe = airframes[0]
         self.dt = 1 / hz
         self.substeps = substeps
         self.gravity = gravity
@@ -89,10 +96,12 @@ class Bench:
         )
         self.motion = ObstacleMotion.none(worlds)
         tiled = (worlds, 1)
+        pilots = autopilot_rows(airframes, max_speed)
         cascade = Cascade.of(
             controller,
             np.tile(parameter_rows(airframes), tiled),
             np.tile(gain_rows(airframes, max_speed), tiled),
+            autopilot=None if pilots is None else np.tile(pilots, tiled),
         )
         parameters = np.tile(parameter_rows(airframes, effects), tiled)
         self.dynamics = kind(
@@ -106,12 +115,16 @@ class Bench:
                 contacts=contacts,
                 friction=friction,
                 restitution=restitution,
+                wings=WingTable.of(airframes, worlds),
             )
         )
-        self.swarm = Swarm.zeros(worlds, drones, len(self.airframe.rotors))
+        surfaces = max(len(one.surfaces) for one in airframes)
+        rotors = max(len(one.rotors) for one in airframes)
+        self.swarm = Swarm.zeros(worlds, drones, rotors, surfaces)
         self.swarm.position[..., 0] = 5 * np.arange(drones)
         self.swarm.position[..., 2] = 10
-        self.swarm.rotor_speed[:] = self.airframe.hover_speed()
+        for i, one in enumerate(airframes):
+            self.swarm.rotor_speed[:, i] = one.hover_speed()
         self.alive = np.ones((worlds, drones), dtype=bool)
         self.wind = np.broadcast_to(np.array(wind, float), (worlds, drones, 3)).copy()
 
@@ -129,6 +142,25 @@ class Bench:
                 self.swarm, self.alive, SetpointLevel(level), setpoint, self.wind, self.motion
             )
         return contacts
+
+    def place_trimmed(self, trim, height=1000.0):
+        """Start in a steady flight to the east, with the rotors and surfaces of a `Trim`."""
+        self.swarm.position[..., 2] = height
+        turned = Rotation.from_euler("ZYX", (0.0, -trim.pitch, trim.bank))
+        self.swarm.quaternion[:] = turned.as_quat()
+        alpha, beta = trim.alpha, trim.sideslip
+        ahead = np.array(
+            (np.cos(alpha) * np.cos(beta), -np.sin(beta), -np.sin(alpha) * np.cos(beta))
+        )
+        self.swarm.velocity[:] = turned.apply(trim.airspeed * ahead) + self.wind
+        self.swarm.rates[:] = turned.inv().apply((0.0, 0.0, -trim.turn_rate))
+        self.swarm.rotor_speed[:] = trim.speed
+        self.swarm.deflection[:] = trim.deflection
+        return self.place()
+
+    def hold(self, speed, deflection, decisions=1):
+        """Hold rotor speeds (rad/s) and deflections (rad)."""
+        return self.fly(SetpointLevel.ROTOR, (*speed, *deflection), decisions)
 
     def spin(self, speed, decisions=1):
         """Hold rotor speeds (rad/s)."""

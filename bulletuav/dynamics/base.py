@@ -33,6 +33,7 @@ from bulletuav.engine.c_extension import surface_below
 from bulletuav.engine.engine import Engine
 from bulletuav.geometry.rotation import vec3
 from bulletuav.vehicle.swarm import Contacts, DroneArrays, ObstacleMotion, Swarm, TimeStep
+from bulletuav.vehicle.wings import WingTable
 from bulletuav.vehicle.wrench import Surroundings, make_surroundings
 
 
@@ -70,6 +71,7 @@ class Decision(NamedTuple):
         cascade: Controllers from these setpoints down to those that the dynamics consumes.
         air: Air, gravity and external loads, held during the decision.
         step: Number and duration of the substeps.
+        wings: Wings of all drones, None in a swarm without wings.
     """
 
     drones: DroneArrays
@@ -77,6 +79,7 @@ class Decision(NamedTuple):
     cascade: Cascade
     air: Air
     step: TimeStep
+    wings: WingTable | None
 
 
 @func
@@ -102,6 +105,7 @@ class FlightSetup:
         contacts: Response to contacts, one of `Dynamics.contacts`.
         friction: Coefficient of friction of the ground and of buildings.
         restitution: Coefficient of restitution of the ground and of buildings.
+        wings: Wings of all drones, None in a swarm without wings.
     """
 
     engine: Engine
@@ -113,6 +117,7 @@ class FlightSetup:
     contacts: str
     friction: float
     restitution: float
+    wings: WingTable | None = None
 
 
 class _Placing(NamedTuple):
@@ -333,7 +338,8 @@ class Dynamics(ABC):
         given = (self.supply, self.rotor_ratio, self.local_gravity)
         air = Air(wind, surface, flight.gravity, self.force, self.torque, *given)
         step = TimeStep(flight.substeps, flight.dt)
-        decision = Decision(drones, setpoints, flight.cascade, air, step)
+        cascade = flight.cascade.in_wind(wind)
+        decision = Decision(drones, setpoints, cascade, air, step, flight.wings)
         if self._near_ground:
             self._add_surface(program, drones, air.surface)
         self.add_flight(program, decision)
@@ -369,7 +375,7 @@ class Dynamics(ABC):
 
     def _advance_decision(self, decision: Decision) -> None:
         """Fly all substeps of a decision, one by one."""
-        drones, setpoints, cascade, air, step = decision
+        drones, setpoints, cascade, air, step, _ = decision
         swarm, contact = drones.swarm, self.contact
         for substep in range(step.substeps):
             save_all_start_states(contact, swarm)
@@ -392,8 +398,8 @@ class Dynamics(ABC):
         Args:
             swarm: State of all drones, to be written in place (`swarm.position[:] = ...`).
             alive: (W, N) bool, drones that fly; changes to other drones are undone.
-            setpoint: (W, N, 4) or (W, N, R) setpoints at the level `consumes`, in the columns of
-                `SetpointLevel`.
+            setpoint: (W, N, 4) or (W, N, R + S) setpoints at the level `consumes`, in the columns
+                of `SetpointLevel`.
             air: Air, gravity and external loads.
         """
         raise NotImplementedError(

@@ -22,6 +22,7 @@ from bulletuav.dynamics.steering import ALONE, Steering, remember_lane, steer
 from bulletuav.vehicle.aerodynamics import is_near_surface
 from bulletuav.vehicle.swarm import DroneArrays, Swarm
 from bulletuav.vehicle.wakes import Wakes
+from bulletuav.vehicle.wings import WingTable, add_winding, deflection_after
 from bulletuav.vehicle.wrench import MAX_PART_ROTATION, make_surroundings
 
 DRONES = 4 * WIDTH
@@ -44,15 +45,19 @@ class Blocks(NamedTuple):
             drones.
         decay: (G, N, 6) decay factors of the rotor lag, written by `lag_stages`.
         lag: (B, 6, `WIDTH`) the same factors by block.
+        wings: Wings of all drones, None in a swarm without wings.
+        deflection: (1, S, `WIDTH`) deflections of the control surfaces of a block, rad.
         sleeping: (D,) bool, drones that slept at the beginning of the substep.
         flown: (B,) bool, whether the marked drones of a block are integrated together.
-        alike: (B,) bool, whether all drones of a block have the same number of rotors.
+        alike: (B,) bool, whether all drones of a block have the same number of rotors, and the same
+            wings.
         has_rotors: (D,) bool, bodies of such blocks that are no loads.
         together: (D,) bool, whether a drone is integrated with its block.
         resting: (D,) bool, sleeping drones whose forces are computed with those of their block.
         steered: (D,) bool, drones that fly alone, but whose controllers run with their block.
         wakes: Wakes that act on the group's drones.
-        command: (G, N, R) commanded rotor speeds, rad/s.
+        command: (G, N, R + S) commanded rotor speeds of each drone, rad/s, followed by the
+            deflections of its control surfaces, rad.
         ratio: (B, R, `WIDTH`) fractions of their commanded speeds that rotors reach.
         rotors: (5, R, `WIDTH`) rotor speeds of a block, commands, and speeds at the begin, middle
             and end of a substep, rad/s.
@@ -71,6 +76,8 @@ class Blocks(NamedTuple):
     held: np.ndarray
     decay: np.ndarray
     lag: np.ndarray
+    wings: WingTable | None
+    deflection: np.ndarray
     sleeping: np.ndarray
     flown: np.ndarray
     alike: np.ndarray
@@ -89,12 +96,19 @@ class Blocks(NamedTuple):
     steering: Steering
 
     @classmethod
-    def of(cls, drones: DroneArrays, cascade: Cascade, at_least: int = DRONES) -> "Blocks":
+    def of(
+        cls,
+        drones: DroneArrays,
+        cascade: Cascade,
+        wings: WingTable | None,
+        at_least: int = DRONES,
+    ) -> "Blocks":
         """Allocate the arrays.
 
         Args:
             drones: Drones of all worlds.
             cascade: Controllers of all worlds.
+            wings: Wings of all drones, None in a swarm without wings.
             at_least: Number of drones from which on a group of worlds is large enough.
         """
         swarm, _, parameters = drones
@@ -103,14 +117,17 @@ class Blocks(NamedTuple):
         worlds = min(max(at_least // num_drones, 1), num_worlds)
         blocks = -(-worlds * num_drones // WIDTH)
         numbers = parameters.view(np.float64).reshape(*parameters.shape, -1)
+        num_commands, drones_in_all = num_rotors + swarm.deflection.shape[2], parameters.size
         return cls(
-            swarm=Swarm(*(array.reshape(1, -1, array.shape[2]) for array in swarm)),
+            swarm=Swarm(*(array.reshape(1, drones_in_all, array.shape[2]) for array in swarm)),
             rows=parameters,
             numbers=numbers,
             packed=lane_zeros(blocks, numbers.shape[2]),
             held=lane_zeros(blocks, 12),
             decay=np.zeros((worlds, num_drones, 6)),
             lag=lane_zeros(blocks, 6),
+            wings=wings,
+            deflection=lane_zeros(1, swarm.deflection.shape[2]),
             sleeping=np.zeros(blocks * WIDTH, dtype=bool),
             flown=np.zeros(blocks, dtype=bool),
             alike=np.zeros(blocks, dtype=bool),
@@ -119,7 +136,7 @@ class Blocks(NamedTuple):
             resting=np.zeros(blocks * WIDTH, dtype=bool),
             steered=np.zeros(blocks * WIDTH, dtype=bool),
             wakes=Wakes.of(worlds, num_drones),
-            command=np.zeros((worlds, num_drones, num_rotors)),
+            command=np.zeros((worlds, num_drones, num_commands)),
             ratio=lane_zeros(blocks, num_rotors),
             rotors=lane_zeros(5, num_rotors),
             alone=np.zeros((3, num_rotors)),
@@ -136,6 +153,7 @@ class Blocks(NamedTuple):
         return self._replace(
             rotors=lane_zeros(5, num_rotors),
             alone=np.zeros((3, num_rotors)),
+            deflection=lane_zeros(1, self.deflection.shape[1]),
             state=lane_zeros(13),
             support=lane_zeros(1, 6),
             load=lane_zeros(8),
@@ -189,8 +207,73 @@ def _pack_heights(blocks: Any, air: Any, first: int, begin: int, end: int) -> No
 
 
 @func
+def count_panels(wings: Any, w: int, i: int) -> int:
+    """Return the number of panels of drone i of world w; `wings` is a `WingTable` or None."""
+    if wings is None:
+        return 0
+    return int(wings.rows[wings.kind[w, i]].num_panels)
+
+
+@func
+def _has_same_wings(wings: Any, drone: int, other: int) -> bool:
+    """Check whether two drones have the same wings, by their numbers over all worlds."""
+    if wings is None:
+        return True
+    num_drones = wings.kind.shape[1]
+    one = wings.kind[drone // num_drones, drone % num_drones]
+    return bool(one == wings.kind[other // num_drones, other % num_drones])
+
+
+@func
+def _load_deflections(blocks: Any, wings: Any, drone: int, b: int, dt: float) -> None:
+    """Read the deflections of a block, and move its control surfaces for a substep."""
+    if wings is not None:
+        num_drones = wings.kind.shape[1]
+        wing = wings.rows[wings.kind[drone // num_drones, drone % num_drones]]
+        first = blocks.rows[drone // num_drones, drone % num_drones].num_rotors
+        now = lanes_of(blocks.deflection, 0)
+        for k in range(wing.num_surfaces):
+            command = gathered(blocks.command, b * WIDTH, first + k)
+            before = gathered(blocks.swarm.deflection, drone, k)
+            now[k] = deflection_after(before, command, k, dt, wing)
+
+
+@func
+def _store_deflections(blocks: Any, wings: Any, lane: int, drone: int) -> None:
+    """Write the deflections of a lane back to a drone."""
+    if wings is not None:
+        num_drones = wings.kind.shape[1]
+        wing = wings.rows[wings.kind[drone // num_drones, drone % num_drones]]
+        for k in range(wing.num_surfaces):
+            blocks.swarm.deflection[0, drone, k] = blocks.deflection[0, k, lane]
+
+
+@func
+def _step_block(
+    state: Any,
+    speeds: Any,
+    rotors: Any,
+    dt: float,
+    around: Any,
+    lifted: int,
+    row: Any,
+    blocks: Any,
+    wings: Any,
+    drone: int,
+) -> Any:
+    """Integrate the block of a drone over a substep, see `stepped`."""
+    if wings is None:
+        return stepped(state, speeds, rotors, dt, around, lifted, row, None, None)
+    num_drones, deflection = wings.kind.shape[1], lanes_of(blocks.deflection, 0)
+    # All drones of the block have the same wings
+    wing = wings.rows[wings.kind[drone // num_drones, drone % num_drones]]
+    around = add_winding(around, speeds[0], speeds[2], dt, row, wing)
+    return stepped(state, speeds, rotors, dt, around, lifted, row, wing, deflection)
+
+
+@func
 def _are_alike(blocks: Any, drone: int, first: int) -> bool:
-    """Check whether the drones of a block have the same number of rotors, and find its loads.
+    """Check whether the drones of a block have the same rotors and wings, and find its loads.
 
     The block has the `WIDTH` bodies from `drone` on. Those without rotors are ignored unless they
     come first, and lanes after the last body of all worlds, too.
@@ -204,6 +287,8 @@ def _are_alike(blocks: Any, drone: int, first: int) -> bool:
         row = blocks.rows[other // num_drones, other % num_drones]
         blocks.has_rotors[first + lane] = row.num_rotors > 0
         are_alike = are_alike and row.num_rotors in (0, rotors)
+        if row.num_rotors > 0:
+            are_alike = are_alike and _has_same_wings(blocks.wings, drone, other)
     return bool(are_alike)
 
 
@@ -313,11 +398,15 @@ def fly_block(blocks: Any, first: int, b: int, gravity: float, dt: float) -> Non
         for r in range(row.num_rotors):
             command[r] = gathered(blocks.command, b * WIDTH, r)
     speeds, rotors = _turn_rotors(blocks, b, command, row)
+    _load_deflections(blocks, blocks.wings, drone, b, dt)
     near, around = _make_surroundings(blocks, b, state, dt, row)
+    # Constants let the compiler remove the ground effect
+    wings = blocks.wings
     if is_any(near):
-        state = stepped(state, speeds, rotors, dt, around, row.num_rotors, row)
+        count = row.num_rotors
+        state = _step_block(state, speeds, rotors, dt, around, count, row, blocks, wings, drone)
     else:
-        state = stepped(state, speeds, rotors, dt, around, 0, row)
+        state = _step_block(state, speeds, rotors, dt, around, 0, row, blocks, wings, drone)
 
     # Write the lanes back to the drones
     new = lanes_of(blocks.state, 0)
@@ -338,6 +427,7 @@ def fly_block(blocks: Any, first: int, b: int, gravity: float, dt: float) -> Non
                 swarm.quaternion[0, drone + lane, k] = blocks.state[9 + k, lane]
             for r in range(row.num_rotors):
                 swarm.rotor_speed[0, drone + lane, r] = blocks.rotors[0, r, lane]
+            _store_deflections(blocks, wings, lane, drone + lane)
             if steered:
                 remember_lane(blocks.steering, lane, drone + lane)
 
@@ -377,7 +467,8 @@ def load_block(blocks: Any, supports: np.ndarray, first: int, b: int, dt: float)
     near, around = _make_surroundings(blocks, b, state, dt, row)
     lifted = row.num_rotors if is_any(near) else 0
     # The forces at the end of the substep
-    slope = slope_of(state, speeds[2], rotors[2], around, lifted, row)
+    # Sleeping drones with wings are computed alone
+    slope = slope_of(state, speeds[2], rotors[2], around, lifted, row, None, None)
     acceleration, spinning = slope[2:]
     held = lanes_row(supports, blocks.support, 0)
     pressed, is_safe = press_support(held, state[1], acceleration, spinning, row)

@@ -220,7 +220,9 @@ class BulletDynamics(RigidBody):
         ports = [] if contacts == "bullet" else engine.ports
         largest = max((port.last - port.first for port in ports), default=drones.alive.shape[0])
         flight = BulletFlight(
-            blocks=Blocks.of(drones, decision.cascade, largest * drones.alive.shape[1]),
+            blocks=Blocks.of(
+                drones, decision.cascade, decision.wings, largest * drones.alive.shape[1]
+            ),
             cables=self.cables,
             velocity=engine.velocity,
             omega=engine.omega,

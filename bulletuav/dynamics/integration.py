@@ -1,4 +1,6 @@
-"""RK4 step of a rigid body under its rotors, for one drone or for SIMD lanes of several drones."""
+"""RK4 step of a rigid body under its rotors and wings, for one drone or SIMD lanes of several."""
+
+from typing import Any
 
 import numpy as np
 
@@ -14,6 +16,7 @@ from bulletuav.vehicle.rotors import (
     rotor_speed_after,
     rotor_wrench,
 )
+from bulletuav.vehicle.wings import winged_wrench
 from bulletuav.vehicle.wrench import Surroundings, body_acceleration, compute_wrench
 
 State = tuple[Vec3, Quat4, Vec3, Vec3]
@@ -25,6 +28,35 @@ Speeds = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
 @func
+def _total_wrench(
+    state: State,
+    speed: np.ndarray,
+    rotors: Rotors,
+    around: Surroundings,
+    lifted: int,
+    row: np.record,
+    wing: Any,
+    deflection: Any,
+) -> tuple[Vec3, Vec3, float, float]:
+    """Return force, torque, total rotor speed and angular momentum for `body_acceleration`.
+
+    The torque of wings and their propellers contains damping and the gyroscopic torque. Without
+    wings in the swarm, `wing` is None, and the compiler removes the code of wings.
+    """
+    position, quaternion, velocity, rates = state
+    if wing is not None:  # noqa: SIM102 - numba removes the block by this test alone
+        if wing.num_panels > 0:
+            force, torque = winged_wrench(
+                quaternion, velocity, rates, speed, deflection, around, row, wing
+            )
+            return force, torque, 0.0 * rotors[2], 0.0 * rotors[3]
+    force, torque = compute_wrench(
+        quaternion, velocity, position[2], speed, rotors, around, lifted, row
+    )
+    return force, torque, rotors[2], rotors[3]
+
+
+@func
 def slope_of(
     state: State,
     speed: np.ndarray,
@@ -32,11 +64,17 @@ def slope_of(
     around: Surroundings,
     lifted: int,
     row: np.record,
+    wing: Any,
+    deflection: Any,
 ) -> State:
-    """Return the time derivative of a state at rotor speeds (R,), rad/s."""
-    position, quaternion, velocity, rates = state
-    force, torque = compute_wrench(
-        quaternion, velocity, position[2], speed, rotors, around, lifted, row
+    """Return the time derivative of a state at rotor speeds (R,), rad/s.
+
+    `wing` is a row of `WINGS`, and `deflection` the deflections of the control surfaces (S,), rad;
+    without wings in the swarm, both are None.
+    """
+    _, quaternion, velocity, rates = state
+    force, torque, total_speed, momentum = _total_wrench(
+        state, speed, rotors, around, lifted, row, wing, deflection
     )
 
     # Kinematics of the quaternion (x, y, z, w) under body rates (p, q, r)
@@ -55,7 +93,7 @@ def slope_of(
         lightness * force[1],
         lightness * force[2],
     )
-    spinning = body_acceleration(rates, torque, rotors[2], rotors[3], row)
+    spinning = body_acceleration(rates, torque, total_speed, momentum, row)
     return velocity, turning, acceleration, spinning
 
 
@@ -91,16 +129,23 @@ def advance_state(state: State, time: float, slope: State) -> State:
 
 @func
 def rk4(
-    state: State, speeds: Speeds, rotors: Stages, dt: float, around: Surroundings, row: np.record
+    state: State,
+    speeds: Speeds,
+    rotors: Stages,
+    dt: float,
+    around: Surroundings,
+    row: np.record,
+    wing: Any,
+    deflection: Any,
 ) -> State:
     """Return a state after one classical Runge-Kutta step."""
     lifted = num_lifted_rotors(state[0][2] - around[1], state[2][2], dt, row)
     # Constants let the compiler remove the ground effect, or unroll the loop over four rotors
     if lifted == 0:
-        return stepped(state, speeds, rotors, dt, around, 0, row)
+        return stepped(state, speeds, rotors, dt, around, 0, row, wing, deflection)
     if lifted == 4:
-        return stepped(state, speeds, rotors, dt, around, 4, row)
-    return stepped(state, speeds, rotors, dt, around, lifted, row)
+        return stepped(state, speeds, rotors, dt, around, 4, row, wing, deflection)
+    return stepped(state, speeds, rotors, dt, around, lifted, row, wing, deflection)
 
 
 @func
@@ -112,12 +157,34 @@ def stepped(
     around: Surroundings,
     lifted: int,
     row: np.record,
+    wing: Any,
+    deflection: Any,
 ) -> State:
     """Do the step of `rk4` with `lifted` rotors in ground effect."""
-    k1 = slope_of(state, speeds[0], rotors[0], around, lifted, row)
-    k2 = slope_of(advance_state(state, 0.5 * dt, k1), speeds[1], rotors[1], around, lifted, row)
-    k3 = slope_of(advance_state(state, 0.5 * dt, k2), speeds[1], rotors[1], around, lifted, row)
-    k4 = slope_of(advance_state(state, dt, k3), speeds[2], rotors[2], around, lifted, row)
+    k1 = slope_of(state, speeds[0], rotors[0], around, lifted, row, wing, deflection)
+    k2 = slope_of(
+        advance_state(state, 0.5 * dt, k1),
+        speeds[1],
+        rotors[1],
+        around,
+        lifted,
+        row,
+        wing,
+        deflection,
+    )
+    k3 = slope_of(
+        advance_state(state, 0.5 * dt, k2),
+        speeds[1],
+        rotors[1],
+        around,
+        lifted,
+        row,
+        wing,
+        deflection,
+    )
+    k4 = slope_of(
+        advance_state(state, dt, k3), speeds[2], rotors[2], around, lifted, row, wing, deflection
+    )
     # k1 + 2 k2 + 2 k3 + k4
     total = advance_state(k1, 2.0, k2)
     total = advance_state(total, 2.0, k3)

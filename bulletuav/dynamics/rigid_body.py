@@ -6,7 +6,7 @@ below is sampled once a decision. That is exact over level ground; past an edge 
 lags by up to one decision (at 20 m/s and 10 Hz, 2 m of flight).
 """
 
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -26,6 +26,7 @@ from bulletuav.dynamics.blocks import (
     DRONES,
     FEWEST,
     Blocks,
+    count_panels,
     fly_block,
     has_enough,
     is_steered,
@@ -35,13 +36,22 @@ from bulletuav.dynamics.blocks import (
     steer_block,
 )
 from bulletuav.dynamics.cables import Cables, group_bodies
-from bulletuav.dynamics.integration import lag_stages, rk4, slope_of, turn_rotors
+from bulletuav.dynamics.integration import (
+    Speeds,
+    Stages,
+    State,
+    lag_stages,
+    rk4,
+    slope_of,
+    turn_rotors,
+)
 from bulletuav.dynamics.steering import ALONE, pack_steering
 from bulletuav.dynamics.tied import fly_tied, hold_tied
 from bulletuav.geometry.grid import MIN_POINTS
 from bulletuav.geometry.rotation import dot, vec3
 from bulletuav.registry import register
 from bulletuav.vehicle.aerodynamics import num_lifted_rotors
+from bulletuav.vehicle.rotors import Rotors
 from bulletuav.vehicle.swarm import DroneArrays, Swarm, get_state, set_state
 from bulletuav.vehicle.wakes import (
     LIST_SKIN,
@@ -51,7 +61,79 @@ from bulletuav.vehicle.wakes import (
     sum_listed_wakes,
     sum_wakes,
 )
-from bulletuav.vehicle.wrench import MAX_PART_ROTATION, num_spin_steps
+from bulletuav.vehicle.wings import add_winding, deflection_after
+from bulletuav.vehicle.wrench import MAX_PART_ROTATION, Surroundings, num_spin_steps
+
+
+@func
+def _move_surfaces(
+    wings: Any, deflection: np.ndarray, command: np.ndarray, w: int, i: int, first: int, dt: float
+) -> None:
+    """Move the control surfaces of drone i of world w for a substep.
+
+    Args:
+        wings: `WingTable`, or None.
+        deflection: (S,) deflections, rad; updated.
+        command: (R + S,) commands of the drone.
+        w: Index of the world.
+        i: Index of the drone.
+        first: Index of the first commanded deflection: the number of the drone's rotors.
+        dt: Duration of the substep, s.
+    """
+    if wings is not None:
+        wing = wings.rows[wings.kind[w, i]]
+        for k in range(wing.num_surfaces):
+            deflection[k] = deflection_after(deflection[k], command[first + k], k, dt, wing)
+
+
+@func
+def _wind_rotors(
+    around: Surroundings, speeds: Speeds, dt: float, row: np.record, wings: Any, w: int, i: int
+) -> Surroundings:
+    """Add the torque of accelerating rotors of an aircraft with wings, see `add_winding`."""
+    if wings is None:
+        return around
+    return add_winding(around, speeds[0], speeds[2], dt, row, wings.rows[wings.kind[w, i]])
+
+
+@func
+def _slope_alone(
+    state: State,
+    speed: np.ndarray,
+    rotors: Rotors,
+    around: Surroundings,
+    lifted: int,
+    row: np.record,
+    wings: Any,
+    deflection: np.ndarray,
+    w: int,
+    i: int,
+) -> State:
+    """Return the slope of drone i of world w, see `slope_of`; `wings` may be None."""
+    if wings is None:
+        return slope_of(state, speed, rotors, around, lifted, row, None, None)
+    return slope_of(
+        state, speed, rotors, around, lifted, row, wings.rows[wings.kind[w, i]], deflection
+    )
+
+
+@func
+def _step_alone(
+    state: State,
+    speeds: Speeds,
+    rotors: Stages,
+    dt: float,
+    around: Surroundings,
+    row: np.record,
+    wings: Any,
+    deflection: np.ndarray,
+    w: int,
+    i: int,
+) -> State:
+    """Integrate drone i of world w over a step, see `rk4`; `wings` may be None."""
+    if wings is None:
+        return rk4(state, speeds, rotors, dt, around, row, None, None)
+    return rk4(state, speeds, rotors, dt, around, row, wings.rows[wings.kind[w, i]], deflection)
 
 
 @func
@@ -71,12 +153,17 @@ def _fly_alone(
     command, decay = blocks.command[w - first, i], blocks.decay[w - first, i]
     motors = (air.supply[w, i], air.rotor_ratio[w, i])
     rotors = turn_rotors(swarm.rotor_speed[w, i], command, *motors, decay, row, speeds)
+    deflection, wings = swarm.deflection[w, i], decision.wings
+    _move_surfaces(wings, deflection, command, w, i, row.num_rotors, dt)
     around = surroundings(air, w, i, blocks.wakes.felt[w - first])
+    around = _wind_rotors(around, speeds, dt, row, decision.wings, w, i)
     state = get_state(swarm, w, i)
     if contact.asleep[w, i]:
         # A drone at rest sleeps as long as its contacts balance its forces
         lifted = num_lifted_rotors(state[0][2] - around[1], state[2][2], dt, row)
-        slope = slope_of(state, speeds[2], rotors[2], around, lifted, row)
+        slope = _slope_alone(
+            state, speeds[2], rotors[2], around, lifted, row, wings, deflection, w, i
+        )
         pull, spinning = slope[2:]
         if stays_asleep(contact, w, i, state[1], pull, spinning, row, dt):
             return
@@ -84,7 +171,7 @@ def _fly_alone(
     # Fast spins need several steps, as their precession is stiff
     parts = num_spin_steps(state[3], dt, MAX_PART_ROTATION)
     for _ in range(parts):
-        state = rk4(state, speeds, rotors, dt / parts, around, row)
+        state = _step_alone(state, speeds, rotors, dt / parts, around, row, wings, deflection, w, i)
     set_state(swarm, w, i, state)
 
 
@@ -134,7 +221,7 @@ def _mark(
             rests = alive[w, i] & asleep[w, i] & (not (stopped[w, i] | tied[w, i]))
             fits = alike[drone // WIDTH] & has_rotors[drone]
             together[drone] = flies & fits
-            resting[drone] = rests & fits
+            resting[drone] = rests & fits & (count_panels(blocks.wings, w, i) == 0)
             sleeping[drone] = asleep[w, i]
             drone += 1
     for k in range(drone, part.end * WIDTH):
@@ -451,14 +538,20 @@ class RigidBody(Dynamics):
         contact, cables, own = self.contact, self.cables, []
         size = min(max(decision.drones.alive.size // program.threads, 1), DRONES)
         for _ in range(program.threads):
-            own.append((contact, Blocks.of(decision.drones, decision.cascade, size), cables))
+            own.append(
+                (
+                    contact,
+                    Blocks.of(decision.drones, decision.cascade, decision.wings, size),
+                    cables,
+                )
+            )
             contact, cables = contact.for_thread(), cables.for_thread()
         groups = -(-len(decision.drones.alive) // len(own[0][1].command))
         program.call(*program.shared(advance_rigid_body, groups, decision, own=own))
 
     def _add_blocks(self, program: Program, decision: Decision) -> None:
         """Add the substeps of a single world, whose blocks several threads fly."""
-        blocks = [Blocks.of(decision.drones, decision.cascade)]
+        blocks = [Blocks.of(decision.drones, decision.cascade, decision.wings)]
         blocks += [blocks[0].for_thread() for _ in range(1, program.threads)]
         found = np.zeros((program.threads, CACHE_LINE), dtype=np.int64)
         world = (decision, self.contact, self.cables)

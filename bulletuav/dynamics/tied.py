@@ -119,7 +119,9 @@ def _slope(flight: Any, w: int, i: int, first: int, stage: int) -> State:
     index, lane = 3 * (i // WIDTH) + stage, i % WIDTH
     rotors = _read_rotors(work.rotors, index, lane)
     speed = work.speed[index, :, lane]
-    return slope_of(_read_state(work.now, i), speed, rotors, around, work.lifted[i], row)
+    return slope_of(
+        _read_state(work.now, i), speed, rotors, around, work.lifted[i], row, None, None
+    )
 
 
 @kernel
@@ -134,7 +136,8 @@ def _set_block_slopes(flight: Any, b: int, stage: int) -> None:
     around = make_surroundings(wind, held[3], held[11], force, torque, wake)
     row = lanes_row(blocks.rows, blocks.packed, b)
     speed = lanes_of(work.speed, 3 * b + stage)
-    slope = slope_of(_read_block(work.now, b), speed, rotors, around, work.lift[b], row)
+    now = _read_block(work.now, b)
+    slope = slope_of(now, speed, rotors, around, work.lift[b], row, None, None)
     _write_block(work.slope, b, slope)
 
 

@@ -37,6 +37,15 @@ THRUST_BOUNDS = (0.4, 2.5)
 """Plausible range of the median thrust, in weights"""
 
 
+def require_no_wings(airframe: Airframe) -> None:
+    """Raise ValueError for an airframe with wings, as forces of wings are not fitted."""
+    if airframe.wings:
+        raise ValueError(
+            f"airframe {airframe.name!r} has wings, whose forces are not identified: pass a "
+            f"multirotor"
+        )
+
+
 def check_log(log: Log, airframe: Airframe) -> Log:
     """Validate a log, fill its short gaps, and convert its attitude to unit quaternions.
 

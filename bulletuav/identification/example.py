@@ -9,6 +9,7 @@ import numpy as np
 from bulletuav.envs.airspace import Airspace
 from bulletuav.files import whole_file
 from bulletuav.geometry.rotation import axes
+from bulletuav.identification.checks import require_no_wings
 from bulletuav.vehicle.airframe import STANDARD_GRAVITY, Airframe
 
 HZ = 100
@@ -41,7 +42,11 @@ def fly_example(
 
     Returns:
         Rows of `COLUMNS`, followed by other_x, other_y, other_z if there is a second drone.
+
+    Raises:
+        ValueError: If the airframe has wings.
     """
+    require_no_wings(airframe)
     rng = np.random.default_rng(seed)
     slow = rng.uniform(0.1, 0.9, (3, 5)), rng.uniform(0, 2 * np.pi, (3, 5))
     fast = rng.uniform(1.0, 5.0, (3, 6)), rng.uniform(0, 2 * np.pi, (3, 6))

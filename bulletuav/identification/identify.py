@@ -8,7 +8,7 @@ import numpy as np
 
 from bulletuav.errors import finite
 from bulletuav.identification.battery import BatteryFit, fit_battery
-from bulletuav.identification.checks import check_distinct_logs, check_log
+from bulletuav.identification.checks import check_distinct_logs, check_log, require_no_wings
 from bulletuav.identification.constants import (
     BATTERY,
     GROUND,
@@ -193,9 +193,10 @@ def identify(
     Raises:
         FileNotFoundError: If a log does not exist.
         ValueError: If a log is damaged or not informative, or a name is unknown; if `measured` is
-            given for motor commands.
+            given for motor commands; if the airframe has wings.
     """
     drone = load_airframe(airframe)
+    require_no_wings(drone)
     if mass is not None:
         drone = dataclasses.replace(drone, mass=finite("mass", mass, 1e-3, MAX_MASS))
     window = finite("window", window, 0.1, 5.0)

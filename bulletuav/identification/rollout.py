@@ -143,6 +143,7 @@ def roll_out(
         np.zeros((1, num_drones, 3)),
         np.zeros((1, num_drones, 3)),
         np.full((1, num_drones, num_rotors), thrust_speed),
+        np.zeros((1, num_drones, 0)),
     )
     air = Air(
         np.zeros((1, num_drones, 3)),
@@ -192,7 +193,7 @@ def roll_out(
                 )
             before = get_state(swarm, 0, 0)
             around = surroundings(air, 0, 0, wakes.felt[0])
-            state = rk4(before, speeds, rotors, dt, around, row)
+            state = rk4(before, speeds, rotors, dt, around, row, None, None)
             if legs.guided:
                 measured = _measured_attitude(track.quaternion, now + 1, tilt)
                 state = (state[0], measured, state[2], point(track.rates, now + 1))

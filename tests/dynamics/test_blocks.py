@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from bulletuav.compiled.lanes import WIDTH
@@ -135,6 +135,7 @@ def test_forces_on_sleeping_drones_are_those_of_each_alone(make_bench):
 
     @settings(max_examples=8)
     @given(st.integers(0, 2**32 - 1), st.floats(0.5, 2.5))
+    @example(0, 2.4)  # in which many wake
     def check(seed, throttle):
         rng = np.random.default_rng(seed)
         states, rows, alive = draw_resting(many, mean, rng)
@@ -147,11 +148,11 @@ def test_forces_on_sleeping_drones_are_those_of_each_alone(make_bench):
             return [array[world] for array in states], rows[world], alive[world]
 
         together = fly(many, drawn, slice(None), setpoints)
-        slept = together[2][5]
+        slept = together[2][6]
         assert slept[:, :2].all()
         for now, before in zip(together[3:], together[2:], strict=False):
-            counts["stayed"] += (now[5] & before[5]).sum()
-            counts["woke"] += (~now[5] & before[5]).sum()
+            counts["stayed"] += (now[6] & before[6]).sum()
+            counts["woke"] += (~now[6] & before[6]).sum()
         for world in range(worlds):
             alone = fly(one, drawn, slice(world, world + 1), setpoints)
             for k, (all_worlds, single) in enumerate(zip(together, alone, strict=True)):
@@ -161,3 +162,33 @@ def test_forces_on_sleeping_drones_are_those_of_each_alone(make_bench):
     check()
     assert counts["stayed"] > 100
     assert counts["woke"] > 10
+
+
+@pytest.mark.parametrize("airframe", ["trainer", "quadplane"])
+def test_wings_that_stall_in_some_lanes_fly_as_each_alone(make_bench, airframe):
+    shape = 3, WIDTH + 1
+    many = make_bench("rigid_body", airframe, worlds=shape[0], drones=shape[1])
+    alone = make_bench("rigid_body", airframe)
+    rng = np.random.default_rng(5)
+    swarm = many.swarm
+    swarm.position[..., 0] *= 10.0
+    swarm.velocity[..., 0] = 13.0
+    # Down to an angle of attack of 50 degrees, and some fly backward
+    swarm.velocity[..., 2] = rng.choice([0.0, 0.0, -4.0, -15.0], shape)
+    swarm.velocity[..., 0] *= rng.choice([1.0, 1.0, 1.0, -1.0], shape)
+    swarm.rates[:] = rng.normal(scale=0.3, size=swarm.rates.shape)
+    states = [array.copy() for array in swarm]
+    rows, alive = many.dynamics.flight.parameters.copy(), many.alive.copy()
+    full = [many.airframe.max_rotor_speed] * len(many.airframe.rotors)
+    most = [full + [surface.high for surface in many.airframe.surfaces]]
+    setpoints = np.array(most) * rng.uniform(0.0, 1.0, (DECISIONS, *shape, np.size(most)))
+
+    begin(many, states, rows, alive)
+    for setpoint in setpoints:
+        many.fly(SetpointLevel.ROTOR, setpoint)
+    for w, i in np.ndindex(shape):
+        begin(alone, [array[w, i] for array in states], rows[w, i], alive[w, i])
+        for setpoint in setpoints:
+            alone.fly(SetpointLevel.ROTOR, setpoint[w, i])
+        for name, got, expected in zip(swarm._fields, swarm, alone.swarm, strict=True):
+            assert got[w, i].tobytes() == expected[0, 0].tobytes(), (w, i, name)

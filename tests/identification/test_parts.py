@@ -11,7 +11,8 @@ from bulletuav.geometry.quaternions import multiply_quaternions, rotate_vectors
 from bulletuav.identification.battery import fit_battery
 from bulletuav.identification.constants import CONSTANTS, choose_constants
 from bulletuav.identification.errors import conjugate
-from bulletuav.identification.identify import _limit_yaw_inertia
+from bulletuav.identification.example import fly_example
+from bulletuav.identification.identify import _limit_yaw_inertia, identify
 from bulletuav.identification.intervals import Information, newey_west, quantile
 from bulletuav.identification.logs import Log
 from bulletuav.identification.smoothing import compute_body_rates
@@ -130,3 +131,12 @@ def test_a_battery_comes_back_within_its_intervals(tmp_path):
         found.resistance[0],
         found.capacity[0],
     )
+
+
+def test_wings_are_not_identified():
+    for start in (
+        lambda: identify([], "trainer"),
+        lambda: fly_example(load_airframe("trainer"), 1.0, seed=0),
+    ):
+        with pytest.raises(ValueError, match="'trainer' has wings, .* pass a multirotor"):
+            start()
