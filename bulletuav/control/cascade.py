@@ -13,6 +13,8 @@ from numba import types
 
 from bulletuav.compiled.deferred import deferred
 from bulletuav.compiled.kernel import func, kernel
+from bulletuav.control.autopilot import AUTOPILOT_MEMORY, Autopilot
+from bulletuav.control.fixed_wing import fly_winged, has_autopilot, pause_loops
 from bulletuav.control.gains import GainRow
 from bulletuav.control.lee import (
     acceleration_setpoint,
@@ -59,8 +61,10 @@ class Cascade(NamedTuple):
         controller: A value of `CONTROLLERS`.
         nominal: (W, N) rows of `PARAMETERS`, the nominal parameters in the controller's model.
         gains: (W, N) rows of `GAINS`.
-        memory: (W, N, M) integrals of the PID, or state of the observers; zero at reset.
+        memory: (W, N, M) integrals of the PID, or state of the observers, then that of the
+            autopilot if there is one; zero at reset.
         integral: Whether the Lee controller estimates steady disturbance forces.
+        autopilot: Controller of the aircraft with wings; None in a swarm without any.
     """
 
     controller: int
@@ -68,10 +72,16 @@ class Cascade(NamedTuple):
     gains: np.ndarray
     memory: np.ndarray
     integral: bool
+    autopilot: Autopilot | None
 
     @classmethod
     def of(
-        cls, controller: str, nominal: np.ndarray, gains: np.ndarray, integral: bool = False
+        cls,
+        controller: str,
+        nominal: np.ndarray,
+        gains: np.ndarray,
+        integral: bool = False,
+        autopilot: np.ndarray | None = None,
     ) -> "Cascade":
         """Create a controller with zero integrals and observer states.
 
@@ -80,12 +90,25 @@ class Cascade(NamedTuple):
             nominal: (W, N) rows of `PARAMETERS`.
             gains: (W, N) rows of `GAINS`.
             integral: Whether the Lee controller estimates steady disturbance forces.
+            autopilot: (W, N) rows of `AUTOPILOT`, None in a swarm without wings.
 
         Returns:
-            The controller.
+            The controller, in still air.
         """
-        memory = np.zeros((*gains.shape, MEMORY))
-        return cls(CONTROLLERS[controller], nominal, gains, memory, integral)
+        size, pilot = MEMORY, None
+        if autopilot is not None:
+            size, pilot = (
+                MEMORY + AUTOPILOT_MEMORY,
+                Autopilot(autopilot, np.zeros((*gains.shape, 3))),
+            )
+        memory = np.zeros((*gains.shape, size))
+        return cls(CONTROLLERS[controller], nominal, gains, memory, integral, pilot)
+
+    def in_wind(self, wind: np.ndarray) -> "Cascade":
+        """Return the controller with the wind (W, N, 3) that its airspeed sensors measure, m/s."""
+        if self.autopilot is None:
+            return self
+        return self._replace(autopilot=self.autopilot._replace(wind=wind))
 
 
 @func
@@ -334,20 +357,29 @@ def command_rotors(
         i: Index of the drone.
         dt: Time since the last call, s.
         gravity: Gravitational acceleration, m/s^2.
-        command: (R,) speed of each rotor, rad/s, which is written.
+        command: (R + S,) speed of each rotor, rad/s, and deflection of each control surface, rad,
+            which are written.
     """
     # The controller's model has the nominal parameters, not the true ones
     nominal, gain, memory = cascade.nominal[w, i], cascade.gains[w, i], cascade.memory
     level, setpoint = setpoints.level[w, i], setpoints.value
     state = get_state(swarm, w, i)
+    pilot = cascade.autopilot
     if level == SetpointLevel.ROTOR:
         # The setpoint is the command, clamped to the rotors' limits.
         for r in range(nominal.num_rotors):
             command[r] = min(max(setpoint[w, i, r], 0.0), nominal.max_rotor_speed)
-    elif cascade.controller == PID:
-        target = quat4(setpoint, w, i)
+        # Deflections are limited where the surfaces move
+        for k in range(nominal.num_rotors, min(command.shape[0], setpoint.shape[2])):
+            command[k] = setpoint[w, i, k]
+        if has_autopilot(pilot, w, i):
+            pause_loops(memory[w, i])
+        return
+    target, past = quat4(setpoint, w, i), memory[w, i]
+    if fly_winged(pilot, level, target, state, past, w, i, dt, gravity, nominal, gain, command):
+        return
+    if cascade.controller == PID:
         step_pid(level, target, state, memory, w, i, dt, gravity, nominal, gain, command)
     else:
-        target, speeds, past = quat4(setpoint, w, i), swarm.rotor_speed[w, i], memory[w, i]
-        learns = cascade.integral
+        speeds, learns = swarm.rotor_speed[w, i], cascade.integral
         step_lee(level, target, state, speeds, past, learns, dt, gravity, nominal, gain, command)

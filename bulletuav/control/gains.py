@@ -11,9 +11,13 @@ from typing import Protocol
 
 import numpy as np
 
-from bulletuav.compiled.functions import tan
+from bulletuav.compiled.functions import sin, tan
 from bulletuav.compiled.plain import record_type
 from bulletuav.vehicle.airframe import MAX_ROTORS, STANDARD_GRAVITY, Airframe
+from bulletuav.vehicle.envelope import find_climb, find_envelope
+
+NUM_CLIMBS = 5
+"""Number of airspeeds at which `GainRow.excess_climb` is stored."""
 
 GAINS = record_type(
     [
@@ -25,6 +29,12 @@ GAINS = record_type(
         ("max_tilt", "f8"),
         ("max_thrust", "f8"),
         ("max_push", "f8"),
+        ("min_speed", "f8"),
+        ("cruise_speed", "f8"),
+        ("max_bank", "f8"),
+        ("max_climb", "f8"),
+        ("max_sink", "f8"),
+        ("excess_climb", "f8", NUM_CLIMBS),
         ("mixer", "f8", (MAX_ROTORS, 4)),
         ("pid_mixer", "f8", (MAX_ROTORS, 3)),
         ("pwm_slope", "f8"),
@@ -46,6 +56,9 @@ MAX_PUSH = 0.5
 MAX_DECELERATION = 5.0
 """Deceleration towards a target position, m/s^2"""
 
+GLIDE_DECELERATION = 0.6
+"""Deceleration of a VTOL towards a target position, relative to that by its drag in a glide"""
+
 
 class GainRow(Protocol):
     """One row of `GAINS`, as typed for compiled functions.
@@ -59,6 +72,14 @@ class GainRow(Protocol):
         max_tilt: Tangent of the largest tilt.
         max_thrust: Thrust of all rotors at their highest speed, N.
         max_push: Bound of the estimated disturbance, in multiples of gravity.
+        min_speed: Minimum airspeed of aircraft that cannot hover, m/s; 0 for all others, like the
+            next five.
+        cruise_speed: Cruise speed, m/s.
+        max_bank: Tangent of the largest bank angle.
+        max_climb: Largest rate of climb, m/s.
+        max_sink: Largest rate of descent, m/s.
+        excess_climb: (NUM_CLIMBS,) steady climb at full throttle, m/s, at airspeeds evenly spaced
+            from min_speed to max_speed: the specific excess power.
         mixer: (MAX_ROTORS, 4) thrust of each rotor from collective thrust and torques.
         pid_mixer: (MAX_ROTORS, 3) PWM steps of each rotor per unit of the PID's roll, pitch and yaw
             output, which is not a torque in N m.
@@ -76,6 +97,12 @@ class GainRow(Protocol):
     max_tilt: float
     max_thrust: float
     max_push: float
+    min_speed: float
+    cruise_speed: float
+    max_bank: float
+    max_climb: float
+    max_sink: float
+    excess_climb: np.ndarray
     mixer: np.ndarray
     pid_mixer: np.ndarray
     pwm_slope: float
@@ -102,6 +129,7 @@ def gain_rows(airframes: Sequence[Airframe], max_speed: float) -> np.ndarray:
     """
     rows = np.zeros(len(airframes), dtype=GAINS)
     any_load = any(airframe.is_load for airframe in airframes)
+    is_mixed = any(airframe.needs_airspeed for airframe in airframes)
     for row, airframe in zip(rows, airframes, strict=True):
         lag = max(airframe.lag_up, airframe.lag_down)
         frequency = min(FASTEST_ATTITUDE, 1 / (2 * lag)) if lag > 0 else FASTEST_ATTITUDE
@@ -110,13 +138,16 @@ def gain_rows(airframes: Sequence[Airframe], max_speed: float) -> np.ndarray:
         row["attitude_frequency"] = frequency, frequency, frequency / 2
         row["position_frequency"] = frequency / 4
         row["damping"] = DAMPING
-        row["max_speed"] = max_speed
-        row["max_deceleration"] = MAX_DECELERATION
+        # Drones of a mixed fleet may be slower than its fastest
+        row["max_speed"] = min(max_speed, airframe.max_speed) if is_mixed else max_speed
+        row["max_deceleration"] = _max_deceleration(airframe)
         row["max_tilt"] = tan(MAX_TILT)
         row["max_thrust"] = airframe.max_thrust
         spare = airframe.max_thrust / (airframe.mass * STANDARD_GRAVITY) - 1.0
         row["max_push"] = max(MAX_PUSH, spare) if any_load else MAX_PUSH
-        if num_rotors:
+        if airframe.needs_airspeed:
+            _write_envelope(row, airframe)
+        elif num_rotors:
             row["mixer"][:num_rotors] = exact_pseudo_inverse(airframe.allocation())
 
         # The PID needs a motor map from PWM to rpm.
@@ -127,6 +158,38 @@ def gain_rows(airframes: Sequence[Airframe], max_speed: float) -> np.ndarray:
             row["pwm_min"] = airframe.pwm.minimum
             row["pwm_max"] = airframe.pwm.maximum
     return rows
+
+
+def _write_envelope(row: np.void, airframe: Airframe) -> None:
+    """Write the limits of an aircraft that cannot hover.
+
+    Raises:
+        ValueError: If the speed limit is below its minimum speed.
+    """
+    envelope = find_envelope(airframe)
+    if row["max_speed"] < envelope.min_speed:
+        raise ValueError(
+            f"max_speed is {row['max_speed']:g} m/s: airframe {airframe.name!r} needs at least "
+            f"{envelope.min_speed:.4g} m/s to fly, so raise it"
+        )
+    row["max_speed"] = min(row["max_speed"], envelope.max_speed)
+    row["min_speed"], row["cruise_speed"] = envelope.min_speed, envelope.cruise_speed
+    row["max_bank"] = tan(envelope.max_bank)
+    row["max_climb"], row["max_sink"] = envelope.max_climb, envelope.max_sink
+    speeds = np.linspace(row["min_speed"], row["max_speed"], NUM_CLIMBS).tolist()
+    row["excess_climb"] = [v * sin(find_climb(airframe, v).climb) for v in speeds]
+
+
+def _max_deceleration(airframe: Airframe) -> float:
+    """Return the deceleration towards a target position, m/s^2.
+
+    A VTOL slows down by the drag of a glide, of which it uses a part.
+    """
+    if not (airframe.wings and airframe.can_hover and airframe.forward_rotors):
+        return MAX_DECELERATION
+    envelope = find_envelope(airframe)
+    glide = STANDARD_GRAVITY * envelope.max_sink / envelope.cruise_speed
+    return min(MAX_DECELERATION, GLIDE_DECELERATION * glide)
 
 
 def exact_pseudo_inverse(matrix: np.ndarray) -> np.ndarray:

@@ -5,6 +5,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from bulletuav.compiled.kernel import func
+
+SPEED_ROUNDING = 1e-6
+"""Relative rounding that a command of the minimum speed may have"""
+
 
 class SetpointLevel(IntEnum):
     """Meaning of the numbers in a setpoint.
@@ -17,7 +22,7 @@ class SetpointLevel(IntEnum):
         ACCELERATION: Acceleration ax, ay, az (m/s^2, world; net of gravity and drag), yaw (rad).
         ATTITUDE: Roll, pitch, yaw (rad) and collective thrust (N).
         RATES: Body rates p, q, r (rad/s) and collective thrust (N).
-        ROTOR: Speed of each rotor (rad/s).
+        ROTOR: Speed of each rotor (rad/s), then deflection of each control surface (rad).
     """
 
     POSITION = 0
@@ -38,3 +43,19 @@ class Setpoints(NamedTuple):
 
     level: np.ndarray
     value: np.ndarray
+
+
+@func
+def is_flying_speed(x: float, y: float, min_speed: float) -> bool:
+    """Check whether a horizontal velocity is at least the minimum speed, but for rounding.
+
+    Setpoints at the minimum speed itself, such as those of `heading_speed_climb`, come from sines
+    and cosines, and may come from single precision.
+
+    Args:
+        x: East component, m/s.
+        y: North component, m/s.
+        min_speed: Minimum speed, m/s.
+    """
+    low = (1.0 - SPEED_ROUNDING) * min_speed
+    return x * x + y * y >= low * low

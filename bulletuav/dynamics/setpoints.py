@@ -24,16 +24,16 @@ def _convert(
 ) -> None:
     """Fill `converted` for the active drones; see `convert`."""
     swarm, alive = drones.swarm, drones.alive
-    speed = np.empty(swarm.rotor_speed.shape[2])
+    command = np.zeros(converted.shape[2])
     for w in range(alive.shape[0]):
         for i in range(alive.shape[1]):
             if not alive[w, i]:
                 continue
             if consumes == SetpointLevel.ROTOR:
-                # The whole cascade; columns of rotors that the drone lacks stay zero
-                command_rotors(cascade, setpoints, swarm, w, i, dt, gravity, speed)
-                for rotor in range(cascade.nominal[w, i].num_rotors):
-                    converted[w, i, rotor] = speed[rotor]
+                # The whole cascade; columns that the drone lacks are zero
+                command[:] = 0.0
+                command_rotors(cascade, setpoints, swarm, w, i, dt, gravity, command)
+                converted[w, i] = command
             else:
                 # Only the outer loops; the yaw is passed on
                 position, _, velocity, _ = get_state(swarm, w, i)
@@ -66,8 +66,9 @@ def convert(
         gravity: Gravitational acceleration, m/s^2.
 
     Returns:
-        (W, N, 4) velocities or accelerations with yaw, (W, N, R) rotor speeds within their bounds,
-        or the setpoints unchanged if all levels equal `consumes`.
+        (W, N, 4) velocities or accelerations with yaw, (W, N, R + S) rotor speeds within their
+        bounds and then deflections in the columns of `SetpointLevel`, or the setpoints unchanged if
+        all levels equal `consumes`.
 
     Raises:
         ValueError: If no controller converts from one level to the other.
@@ -81,7 +82,8 @@ def convert(
             f"{lowest.name.lower()} setpoints cannot be converted to {consumes.name.lower()}: "
             f"the dynamics must consume velocity, acceleration or rotor setpoints"
         )
-    width = drones.swarm.rotor_speed.shape[2] if rotors else 4
+    swarm = drones.swarm
+    width = swarm.rotor_speed.shape[2] + swarm.deflection.shape[2] if rotors else 4
     converted = np.zeros((*drones.alive.shape, width))
     _convert(setpoints, int(consumes), drones, cascade, dt, gravity, converted)
     return converted

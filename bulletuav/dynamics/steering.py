@@ -7,9 +7,11 @@ import numpy as np
 from bulletuav.compiled.gather import copy_numbers, gathered
 from bulletuav.compiled.kernel import func, kernel
 from bulletuav.compiled.lanes import WIDTH, lane_zeros, lanes_of, lanes_row
+from bulletuav.control.autopilot import Autopilot
 from bulletuav.control.cascade import LEE, Cascade, rates_of_motion, turn_by
+from bulletuav.control.fixed_wing import has_autopilot
 from bulletuav.control.lee import nose
-from bulletuav.control.observers import PUSHES, learned
+from bulletuav.control.observers import MEMORY, PUSHES, learned
 from bulletuav.control.setpoint import SetpointLevel, Setpoints
 from bulletuav.geometry.rotation import Quat4, Vec3
 from bulletuav.vehicle.rotors import rotor_wrench
@@ -26,6 +28,7 @@ class Steering(NamedTuple):
         gain_rows: (W, N) rows of `GAINS`.
         memory: (W, N, M) state of the controllers' observers.
         integral: Whether observers estimate steady disturbance forces.
+        autopilot: Controller of the aircraft with wings, which run one by one; None for none.
         is_lee: Whether the controller is Lee's.
         nominal_numbers: (W, N, P) nominal parameters as float64.
         gain_numbers: (W, N, Q) gains as float64.
@@ -40,6 +43,7 @@ class Steering(NamedTuple):
     gain_rows: np.ndarray
     memory: np.ndarray
     integral: bool
+    autopilot: Autopilot | None
     is_lee: bool
     nominal_numbers: np.ndarray
     gain_numbers: np.ndarray
@@ -61,6 +65,7 @@ class Steering(NamedTuple):
             gain_rows=gains,
             memory=memory,
             integral=cascade.integral,
+            autopilot=cascade.autopilot,
             is_lee=cascade.controller == LEE,
             nominal_numbers=nominal_numbers,
             gain_numbers=gain_numbers,
@@ -68,7 +73,7 @@ class Steering(NamedTuple):
             gain=lane_zeros(blocks, gain_numbers.shape[2]),
             goal=lane_zeros(blocks, 6),
             level=np.full(blocks, ALONE),
-            remembered=lane_zeros(memory.shape[2]),
+            remembered=lane_zeros(MEMORY),
         )
 
 
@@ -83,8 +88,12 @@ def _common_level(steering: Any, levels: np.ndarray, drone: int) -> int:
     tips = steering.nominal_rows[drone // num_drones, drone % num_drones].drag_height > 0.0
     if not steering.is_lee or level > SetpointLevel.ACCELERATION:
         return ALONE
+    if has_autopilot(steering.autopilot, drone // num_drones, drone % num_drones):
+        return ALONE
     for other in range(drone + 1, min(drone + WIDTH, levels.size)):
         w, i = other // num_drones, other % num_drones
+        if has_autopilot(steering.autopilot, w, i):
+            return ALONE
         row = steering.nominal_rows[w, i]
         differs = levels[w, i] != level or (row.drag_height > 0.0) != tips
         if row.num_rotors > 0 and differs:

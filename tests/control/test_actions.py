@@ -1,5 +1,7 @@
 """Actions become setpoints."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -7,6 +9,7 @@ from bulletuav import load_airframe
 from bulletuav.control.actions import ACTIONS, ActionContext, limit_norm, make_action
 from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.registry import names
+from bulletuav.vehicle.envelope import find_envelope
 
 
 @pytest.fixture
@@ -72,6 +75,74 @@ def test_heading_speed_points_the_nose(context):
     np.testing.assert_allclose(
         np.linalg.norm(decode("heading_speed", context, (0.2, 1, 1))[:3]), 10
     )
+
+
+def test_heading_speed_climb_spans_the_limits_of_each_airframe(context):
+    trainer = load_airframe("trainer")
+    envelope = find_envelope(trainer)
+    fleet = dataclasses.replace(
+        context, airframes=[context.airframes[0], trainer], max_speed=20.0, max_climb=3.0
+    )
+    action = make_action("heading_speed_climb", fleet)
+
+    def decoded(*numbers):
+        return action.decode(np.tile(np.array(numbers, float), (1, 2, 1)), np.zeros((1, 2, 3)))[0]
+
+    slow, fast = decoded(0.5, -1, 0), decoded(0, 1, 0)
+    np.testing.assert_allclose(slow[0], (0, 0, 0, np.pi / 2), atol=1e-12)
+    np.testing.assert_allclose(slow[1], (0, envelope.min_speed, 0, np.pi / 2), atol=1e-12)
+    np.testing.assert_allclose(fast[0], (context.airframes[0].max_speed, 0, 0, 0), atol=1e-12)
+    np.testing.assert_allclose(fast[1], (envelope.max_speed, 0, 0, 0), atol=1e-12)
+    # The climb has priority over the speed, and the minimum speed over the climb
+    up, down = decoded(0, 1, 1), decoded(0, -1, -1)
+    assert up[:, 2].tolist() == [3.0, 3.0]
+    assert np.hypot(up[0, 0], 3) == pytest.approx(context.airframes[0].max_speed)
+    np.testing.assert_allclose(down[:, 2], (-3, -envelope.max_sink))
+    assert down[1, 0] == pytest.approx(envelope.min_speed)
+    assert f"{envelope.min_speed:.3f}" in action.labels[1][1]
+    # Velocities within the limits are encoded and decoded
+    wanted = np.array([[(3.0, -4.0, 1.0), (-9.0, 8.0, -0.5)]])
+    again = action.decode(action.encode(wanted, None), np.zeros((1, 2, 3)))
+    np.testing.assert_allclose(again[..., :3], wanted, rtol=1e-12)
+
+
+def test_rotor_actions_have_a_number_for_each_control_surface(context):
+    trainer = load_airframe("trainer")
+    fleet = dataclasses.replace(context, airframes=[context.airframes[0], trainer])
+    for name, speed in (("rotor", 1.0), ("rpm", trainer.max_rotor_speed * 30 / np.pi)):
+        action = make_action(name, fleet)
+        assert [action.size(0), action.size(1), action.low.shape] == [4, 5, (2, 5)]
+        assert action.labels[1][1:] == (
+            "left aileron: -1 to 1 for -22.9183 to 22.9183 degrees",
+            *action.labels[1][2:],
+        )
+        numbers = np.zeros((1, 2, 5))
+        numbers[0, 1] = speed, 1, -1, 0.5, 0
+        setpoint = action.decode(numbers, np.zeros((1, 2, 3)))[0, 1]
+        aileron, _, elevator, _ = trainer.surfaces
+        np.testing.assert_allclose(
+            setpoint,
+            (trainer.max_rotor_speed, aileron.high, aileron.low, 0.5 * elevator.high, 0),
+            atol=1e-12,
+        )
+        assert action.low[1].tolist()[1:] == [-1.0] * 4
+        assert action.high[1].tolist()[1:] == [1.0] * 4
+
+
+def test_the_thrust_of_an_aeroplane_is_that_of_its_forward_rotors(context):
+    trainer = load_airframe("trainer")
+    fleet = dataclasses.replace(context, airframes=[trainer])
+    most = trainer.thrust_coefficient * trainer.max_rotor_speed**2
+    for name in ("attitude", "rates"):
+        assert decode(name, fleet, (0, 0, 0, 1))[3] == pytest.approx(most)
+
+
+def test_hover_rpm_refuses_wings(context):
+    fleet = dataclasses.replace(context, airframes=[load_airframe("quadplane")])
+    with pytest.raises(
+        ValueError, match="'hover_rpm' is for multirotors, and airframe 'quadplane'"
+    ):
+        make_action("hover_rpm", fleet)
 
 
 def test_turn_speed_turns_from_the_last_commanded_heading(context):

@@ -2,12 +2,13 @@
 
 import numpy as np
 import pytest
+from bench import MULTIROTORS
 
-from bulletuav import available_airframes, load_airframe
+from bulletuav import load_airframe
 from bulletuav.control.gains import exact_pseudo_inverse, gain_rows
 
 
-@pytest.mark.parametrize("name", available_airframes())
+@pytest.mark.parametrize("name", MULTIROTORS)
 def test_the_mixer_is_the_pseudo_inverse_of_the_rotors_allocation(name):
     airframe = load_airframe(name)
     allocation = airframe.allocation()

@@ -17,6 +17,7 @@ from bulletuav.control.actions.mixed import mix_actions
 from bulletuav.control.actions.motion import (
     acceleration,
     heading_speed,
+    heading_speed_climb,
     target_position,
     turn_speed,
     velocity,
@@ -50,6 +51,7 @@ ACTIONS: Mapping[str, ActionMaker] = MappingProxyType(
             velocity_increment,
             acceleration,
             heading_speed,
+            heading_speed_climb,
             turn_speed,
             target_position,
             attitude,

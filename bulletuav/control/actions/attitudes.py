@@ -30,15 +30,29 @@ def _decode(
             setpoint[w, i, 3] = most[i] * (action[w, i, 3] + 1) / 2
 
 
+def _collective_thrusts(context: ActionContext) -> np.ndarray:
+    """Return the largest collective thrust of each drone, N.
+
+    It is that of the forward rotors, at rest, for aircraft that cannot hover.
+    """
+    thrusts = []
+    for airframe in context.airframes:
+        speed, count = airframe.max_rotor_speed, len(airframe.forward_rotors)
+        forward = count * airframe.thrust_coefficient * (speed * speed)
+        thrusts.append(forward if airframe.needs_airspeed else airframe.max_thrust)
+    return np.array(thrusts)
+
+
 @register("action")
 def attitude(context: ActionContext) -> Action:
     """Hold roll and pitch (over 55 degrees), yaw (over 180 degrees) and a collective thrust.
 
-    The thrust is none at -1 and the most at 1.
+    The thrust is none at -1 and the most at 1. Aircraft that cannot hover fly coordinated turns,
+    and ignore the yaw; the thrust is that of their forward rotors.
     """
     # Bounds of angles, rad, and of the thrust of each airframe, N
     scale = np.array((MAX_TILT, MAX_TILT, np.pi))
-    most = np.array([airframe.max_thrust for airframe in context.airframes])
+    most = _collective_thrusts(context)
     labels = (
         "roll / 55 degrees",
         "pitch / 55 degrees",
@@ -59,9 +73,10 @@ def attitude(context: ActionContext) -> Action:
 def rates(context: ActionContext) -> Action:
     """Turn at body rates (over 360, 360 and 180 degrees a second) with a collective thrust.
 
-    The thrust is none at -1 and the most at 1.
+    The thrust is none at -1 and the most at 1; that of the forward rotors for aircraft that cannot
+    hover.
     """
-    most = np.array([airframe.max_thrust for airframe in context.airframes])
+    most = _collective_thrusts(context)
     labels = (
         "p / 360 degrees/s",
         "q / 360 degrees/s",

@@ -1,5 +1,7 @@
 """Action types that command motion: a velocity, an acceleration, or a target position."""
 
+import math
+
 import numpy as np
 
 from bulletuav.compiled.functions import atan2, cos, sin
@@ -16,6 +18,8 @@ from bulletuav.control.actions.base import (
 )
 from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.registry import register
+from bulletuav.vehicle.airframe import Airframe
+from bulletuav.vehicle.envelope import find_envelope
 
 UP, YAW = 2, 3
 """Columns of a setpoint"""
@@ -95,6 +99,31 @@ def _decode_position(
             for k in range(3):
                 setpoint[w, i, k] = centre[k] + half[k] * action[w, i, k]
             setpoint[w, i, YAW] = 0.0
+
+
+@kernel
+def _decode_climb(
+    action: np.ndarray,
+    commanded: np.ndarray,
+    setpoint: np.ndarray,
+    low: np.ndarray,
+    high: np.ndarray,
+    climb: np.ndarray,
+    sink: np.ndarray,
+) -> None:
+    """Write the velocities and headings of action `heading_speed_climb`; bounds are (N,)."""
+    for w in range(action.shape[0]):
+        for i in range(action.shape[1]):
+            heading = np.pi * action[w, i, 0]
+            rise = action[w, i, 2] * (climb[i] if action[w, i, 2] > 0.0 else sink[i])
+            speed = low[i] + (high[i] - low[i]) * (0.5 * (action[w, i, 1] + 1.0))
+            # The climb has priority over the speed, but not over the minimum speed
+            left = math.sqrt(max(high[i] * high[i] - rise * rise, 0.0))
+            speed = max(min(speed, left), low[i])
+            setpoint[w, i, 0] = speed * cos(heading)
+            setpoint[w, i, 1] = speed * sin(heading)
+            setpoint[w, i, UP] = rise
+            setpoint[w, i, YAW] = heading
 
 
 def _limited(
@@ -210,6 +239,58 @@ def heading_speed(context: ActionContext) -> Action:
         labels=labels,
         decode=decode,
     )
+
+
+@register("action")
+def heading_speed_climb(context: ActionContext) -> Action:
+    """Fly towards a heading at a speed, with a climb, within the limits of each airframe.
+
+    The heading is from -1 to 1 for -180 to 180 degrees from east, to the left. The speed is from -1
+    to 1 for the airframe's minimum to its maximum speed; the minimum is 0 for drones that hover.
+    The climb is from -1 to 1 for the airframe's largest sink to its largest climb, and has priority
+    over the speed. The nose points along the heading.
+
+    In `heading_speed`, all speeds are from 0 to max_speed, and too slow an aeroplane would loiter.
+    """
+    limits = np.array([_flight_limits(airframe, context) for airframe in context.airframes])
+    low, high, climb, sink = limits.T.copy()
+    ones = np.ones((len(limits), 3))
+
+    def encode(velocity: np.ndarray, commanded: np.ndarray | None = None) -> np.ndarray:
+        east, north, up = (velocity[..., k] for k in range(3))
+        share = (np.sqrt(east * east + north * north) - low) / np.maximum(high - low, 1e-12)
+        rise = up / np.where(up > 0.0, climb, sink)
+        columns = [atan2(north, east) / np.pi, 2.0 * share - 1.0, rise]
+        return np.stack([np.clip(column, -1.0, 1.0) for column in columns], axis=-1)
+
+    return Action(
+        name="heading_speed_climb",
+        level=SetpointLevel.VELOCITY,
+        labels=tuple(
+            (
+                "heading / 180 degrees",
+                f"speed: -1 to 1 for {least:g} to {most:g} m/s",
+                f"climb: -1 to 1 for {-down:g} to {up:g} m/s",
+            )
+            for least, most, up, down in limits.round(3).tolist()
+        ),
+        low=-ones,
+        high=ones,
+        decode=Compiled(_decode_climb, 4, low, high, climb, sink),
+        encode=encode,
+    )
+
+
+def _flight_limits(airframe: Airframe, context: ActionContext) -> tuple[float, float, float, float]:
+    """Return the minimum and maximum speed of an airframe, and its largest climb and sink, m/s."""
+    fastest, climb = min(context.max_speed, airframe.max_speed), context.max_climb
+    if not airframe.needs_airspeed:
+        climb = min(climb, fastest)
+        return 0.0, fastest, climb, climb
+    envelope = find_envelope(airframe)
+    slowest, fastest = envelope.min_speed, min(fastest, envelope.max_speed)
+    climbs = (min(climb, envelope.max_climb), min(climb, envelope.max_sink))
+    return slowest, max(slowest, fastest), *climbs
 
 
 @register("action")
