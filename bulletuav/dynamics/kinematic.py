@@ -1,5 +1,7 @@
 """Kinematic dynamics: level points with a yaw that follow velocities or accelerations.
 
+Aircraft that cannot hover fly as a Dubins airplane, see `bulletuav.dynamics.dubins`. All others:
+
 - `point_mass`: v' = limited((v_cmd - v) / tau) - k (v - wind) + f / m: first-order velocity lag,
   acceleration limit, rotor drag, external forces.
 - `single_integrator`: v = v_cmd, p+ = p + v dt.
@@ -28,11 +30,10 @@ from bulletuav.contact.motion_bounds import update_budgets
 from bulletuav.control.cascade import command_kinematic
 from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.dynamics.base import Decision, Dynamics
+from bulletuav.dynamics.dubins import DOUBLE_INTEGRATOR, POINT_MASS, SINGLE_INTEGRATOR, fly_forward
 from bulletuav.geometry.rotation import Vec3, dot, from_euler, plus, point, quat4, vec3
 from bulletuav.registry import register
 from bulletuav.vehicle.swarm import Swarm, TimeStep, get_state, set_state
-
-POINT_MASS, SINGLE_INTEGRATOR, DOUBLE_INTEGRATOR = range(3)
 
 
 @func
@@ -206,15 +207,17 @@ def _constants(
 
 
 @func
-def _pieces(kind: int, levels: np.ndarray, w: int, substeps: int) -> int:
+def _pieces(kind: int, decision: Decision, w: int) -> int:
     """Return the number of straight segments that a decision is integrated in, in world w.
 
-    A single integrator under velocity setpoints needs one, as its velocity is constant.
+    A single integrator under velocity setpoints needs one, as its velocity is constant, unless it
+    has to turn.
     """
+    levels, substeps = decision.setpoints.level, decision.step.substeps
     if kind != SINGLE_INTEGRATOR:
         return substeps
     for i in range(levels.shape[1]):
-        if levels[w, i] != SetpointLevel.VELOCITY:
+        if levels[w, i] != SetpointLevel.VELOCITY or decision.cascade.gains[w, i].min_speed > 0.0:
             return substeps
     return 1
 
@@ -249,22 +252,27 @@ def _fly_drones(
     for i in range(low, high):
         if not alive[w, i] or contact.stopped[w, i]:
             continue
-        # The drone is level, with the commanded yaw
         position, quaternion, velocity, rates = get_state(swarm, w, i)
         wanted = quat4(setpoints.value, w, i)
         wind = vec3(air.wind, w, i)
         # Setpoints are net of the gravity that controllers know
         unknown = (0.0, 0.0, air.gravity - air.local_gravity[w, i])
         pull = plus(unknown, 1.0 / parameters[w, i].mass, vec3(air.force, w, i))
-        quaternion = from_euler(0.0, 0.0, wanted[3])
-
         gain = cascade.gains[w, i]
         level = setpoints.level[w, i]
-        target = command_kinematic(level, accelerates, wanted, position, velocity, gain)
         lag, drag, most = point(constants, i)
-        velocity, moved = _advance_point(
-            kind, target, velocity, wind, pull, gain.max_speed, lag, drag, most, dt
-        )
+        if gain.min_speed > 0.0:
+            state = (position, quaternion, velocity)
+            velocity, moved, quaternion = fly_forward(
+                kind, level, wanted, state, wind, pull, lag, gain, air.gravity, dt
+            )
+        else:
+            # The drone is level, with the commanded yaw
+            quaternion = from_euler(0.0, 0.0, wanted[3])
+            target = command_kinematic(level, accelerates, wanted, position, velocity, gain)
+            velocity, moved = _advance_point(
+                kind, target, velocity, wind, pull, gain.max_speed, lag, drag, most, dt
+            )
         position = plus(position, 1.0, moved)
         set_state(swarm, w, i, (position, quaternion, velocity, rates))
 
@@ -293,7 +301,7 @@ def advance_kinematic(
     num_drones = drones.alive.shape[1]
     for w in range(first, last):
         _write_constants(decision, constants, w, 0, num_drones)
-        pieces = _pieces(kind, decision.setpoints.level, w, step.substeps)
+        pieces = _pieces(kind, decision, w)
         dt = step.dt * (step.substeps // pieces)
         straight = in_memory(TimeStep(pieces, dt))
         for piece in range(pieces):
@@ -311,7 +319,7 @@ def start_points(decision: Decision, kind: int, progress: np.ndarray) -> None:
         progress: (2,) index of the present segment, and number of segments; written.
     """
     progress[0] = 0
-    progress[1] = _pieces(kind, decision.setpoints.level, 0, decision.step.substeps)
+    progress[1] = _pieces(kind, decision, 0)
 
 
 @kernel
@@ -376,14 +384,17 @@ def finish_points(
 
 
 @kernel
-def _level(quaternion: np.ndarray, rates: np.ndarray, mask: np.ndarray) -> None:
-    """Set level attitudes and zero rates for the drones of `mask` (W, N)."""
+def _level(quaternion: np.ndarray, rates: np.ndarray, gains: np.ndarray, mask: np.ndarray) -> None:
+    """Set zero rates for the drones of `mask` (W, N), and level attitudes if they can hover."""
     for w in range(mask.shape[0]):
         for i in range(mask.shape[1]):
             if mask[w, i]:
                 for k in range(3):
-                    quaternion[w, i, k] = 0.0
                     rates[w, i, k] = 0.0
+                if gains[w, i].min_speed > 0.0:
+                    continue
+                for k in range(3):
+                    quaternion[w, i, k] = 0.0
                 quaternion[w, i, 3] = 1.0
 
 
@@ -400,7 +411,8 @@ class Kinematic(Dynamics):
 
     def _add_start(self, program: Program, swarm: Swarm, mask: np.ndarray) -> None:
         """Add calls that also set level attitudes and zero rates; see the base class."""
-        program.call(_level, swarm.quaternion, swarm.rates, mask)
+        gains = self.flight.cascade.gains
+        program.call(_level, swarm.quaternion, swarm.rates, gains, mask)
         super()._add_start(program, swarm, mask)
 
     def add_flight(self, program: Program, decision: Decision) -> None:
