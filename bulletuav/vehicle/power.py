@@ -27,6 +27,7 @@ from bulletuav.compiled.plain import record_type
 from bulletuav.errors import finite
 from bulletuav.geometry.rotation import Vec3Like, vec3
 from bulletuav.vehicle.airframe import DENSITY, STANDARD_GRAVITY, Airframe
+from bulletuav.vehicle.parameters import ParameterRow
 
 # Airframes do not contain these constants. They use those of Zeng, Xu and Zhang (our choice).
 PROFILE_DRAG = 0.012
@@ -146,14 +147,14 @@ def airframe_wing(airframe: Airframe, gravity: float = STANDARD_GRAVITY) -> Rota
     motors and controllers are those of the airframe.
 
     Args:
-        airframe: The airframe; its mass, propellers and hover speed are used.
+        airframe: The airframe; its mass, propellers along z and hover speed are used.
         gravity: Gravity, m/s^2.
 
     Returns:
         The constants.
     """
     radius = airframe.propeller_radius
-    area = len(airframe.rotors) * math.pi * radius**2
+    area = len(airframe.lift_rotors) * math.pi * radius**2
     weight, speed = airframe.mass * gravity, airframe.hover_speed(gravity)
     wing = rotary_wing(
         weight=weight,
@@ -165,6 +166,8 @@ def airframe_wing(airframe: Airframe, gravity: float = STANDARD_GRAVITY) -> Rota
     shafts = weight * airframe.torque_ratio * speed
     return wing._replace(
         blade=max(wing.blade, shafts - wing.induced),
+        # The drag of aircraft that fly on wings is in their drag polar
+        drag_ratio=0.0 if airframe.forward_rotors else wing.drag_ratio,
         efficiency=airframe.efficiency,
         electronics=airframe.electronics,
     )
@@ -299,6 +302,16 @@ def actuator_power(before: np.ndarray, after: np.ndarray, parameters: np.ndarray
     return power
 
 
+@func
+def rotor_power(before: np.ndarray, after: np.ndarray, row: ParameterRow) -> float:
+    """Return the mean power of one drone's rotors between two rotor speeds (R,), rad/s, in W."""
+    cubes = 0.0
+    for r in range(before.shape[0]):
+        begin, end = before[r], after[r]
+        cubes += (begin * begin * begin + end * end * end) / 2.0
+    return row.torque_coefficient * cubes
+
+
 @kernel
 def fill_actuator_power(
     before: np.ndarray, after: np.ndarray, parameters: np.ndarray, power: np.ndarray
@@ -306,8 +319,4 @@ def fill_actuator_power(
     """Write the result of `actuator_power` to `power` (W, N)."""
     for w in range(power.shape[0]):
         for i in range(power.shape[1]):
-            cubes = 0.0
-            for r in range(before.shape[2]):
-                begin, end = before[w, i, r], after[w, i, r]
-                cubes += (begin * begin * begin + end * end * end) / 2.0
-            power[w, i] = parameters[w, i].torque_coefficient * cubes
+            power[w, i] = rotor_power(before[w, i], after[w, i], parameters[w, i])

@@ -1,6 +1,7 @@
-"""Wind: steady (uniform or with a height profile) or a user's function, with optional gusts.
+"""Wind: steady (uniform or with a height profile) or a user's function, with gusts and thermals.
 
-Gusts are those of `bulletuav.vehicle.gusts`. Buildings and drones cast no wind shadows.
+Gusts are those of `bulletuav.vehicle.gusts`, thermals those of `bulletuav.vehicle.thermals`.
+Buildings and drones cast no wind shadows.
 """
 
 import inspect
@@ -14,6 +15,7 @@ from bulletuav.compiled.kernel import func, kernel
 from bulletuav.compiled.program import Program
 from bulletuav.errors import as_sequence, find_choice, finite, numbers_of
 from bulletuav.vehicle.gusts import FOOT, NUM_DRAWS, NUM_WAVE_ROWS, NUM_WAVES, add_gusts, draw_waves
+from bulletuav.vehicle.thermals import Thermals, add_thermals
 
 KNOT = 1852 / 3600
 """One knot, m/s."""
@@ -133,7 +135,7 @@ def _spread_by_height(
 
 
 class Wind:
-    """The wind of all worlds: steady or a field, with optional Dryden gusts.
+    """The wind of all worlds: steady or a field, with optional Dryden gusts and thermals.
 
     It is a function of position, time, and the random numbers of each world's reset. It does not
     depend on the order of queries.
@@ -150,6 +152,7 @@ class Wind:
         wind20: float,
         num_worlds: int,
         profile: Profile | None = None,
+        thermals: Thermals | None = None,
     ) -> None:
         """Make the wind.
 
@@ -158,6 +161,7 @@ class Wind:
             wind20: Wind speed at 20 feet, which sets the turbulence, m/s; 0 for none.
             num_worlds: W.
             profile: Change of the steady wind with height; None for a uniform wind.
+            thermals: Rising air; None for none.
         """
         self._field = steady if callable(steady) else None
         self.given = np.zeros(3) if callable(steady) else np.array(steady, dtype=float)
@@ -167,11 +171,15 @@ class Wind:
         # No memory is needed for worlds without gusts
         self._waves = np.zeros((num_worlds if wind20 > 0 else 0, NUM_WAVE_ROWS, NUM_WAVES))
         self._parts = np.zeros((3, NUM_WAVES))
+        self._thermals = thermals
+        # Centres of the thermals of each world
+        self._centres = np.zeros((num_worlds, 0 if thermals is None else thermals.number, 2))
 
     def kept(self) -> dict[str, np.ndarray]:
         """Return the arrays (W, ...) by name that determine the wind of a world, for snapshots."""
         gusts = {"waves": self._waves} if len(self._waves) else {}
-        return {"steady wind": self.steady, **gusts}
+        rising = {} if self._thermals is None else {"thermals": self._centres}
+        return {"steady wind": self.steady, **gusts, **rising}
 
     @property
     def is_gusty(self) -> bool:
@@ -179,9 +187,11 @@ class Wind:
         return self._wind20 > 0
 
     def reset(self, world: int, rng: np.random.Generator) -> None:
-        """Draw the gusts of one world."""
+        """Draw the gusts and thermals of one world."""
         if self._wind20 > 0:
             draw_waves(rng.random(NUM_DRAWS), self._waves[world])
+        if self._thermals is not None:
+            self._centres[world] = self._thermals.draw(rng)
 
     def add_to(
         self, program: Program, position: np.ndarray, time: np.ndarray, wind: np.ndarray
@@ -204,6 +214,9 @@ class Wind:
         if self._wind20 > 0:
             arrays = (self._waves, self._parts)
             program.call(add_gusts, *arrays, position, time, self.steady, self._wind20, wind)
+        if self._thermals is not None:
+            air = (self._thermals.strength, self._thermals.depth, self._thermals.area)
+            program.call(add_thermals, self._centres, position, *air, wind)
 
     def sample(self, position: np.ndarray, time: np.ndarray) -> np.ndarray:
         """Compute the wind at given positions.

@@ -2,11 +2,12 @@ import math
 
 import numpy as np
 import pytest
+from bench import MULTIROTORS
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from bulletuav import available_airframes, load_airframe
+from bulletuav import load_airframe
 from bulletuav.vehicle.aerodynamics import drag, ground_effect, ground_wrench, num_lifted_rotors
 from bulletuav.vehicle.parameters import EFFECTS, parameter_rows
 from bulletuav.vehicle.rotors import (
@@ -19,7 +20,7 @@ from bulletuav.vehicle.rotors import (
 from bulletuav.vehicle.wrench import body_acceleration, compute_wrench, damping_torque
 
 G = 9.80665
-NAMES = available_airframes()
+NAMES = MULTIROTORS
 LEVEL = (0.0, 0.0, 0.0, 1.0)
 ZERO = (0.0, 0.0, 0.0)
 

@@ -4,10 +4,11 @@ import itertools
 
 import numpy as np
 import pytest
+from bench import MULTIROTORS
 from scipy.spatial.transform import Rotation
 from swarms import PLACES, place_points
 
-from bulletuav import available_airframes, load_airframe
+from bulletuav import load_airframe
 from bulletuav.compiled.lanes import WIDTH
 from bulletuav.vehicle.parameters import parameter_rows
 from bulletuav.vehicle.swarm import Swarm
@@ -15,7 +16,7 @@ from bulletuav.vehicle.wake import downwash
 from bulletuav.vehicle.wakes import LIST_SKIN, Wakes, sum_wakes
 
 G = 9.80665
-NAMES = available_airframes()
+NAMES = MULTIROTORS
 
 
 def row_of(name, effects=None):
