@@ -3,6 +3,7 @@ import importlib.util
 import multiprocessing
 import os
 import runpy
+import shutil
 import sys
 from pathlib import Path
 
@@ -150,7 +151,10 @@ def urdf(tmp_path):
     from bulletuav import load_airframe
 
     def write(name, *changes):
-        text = load_airframe(name).urdf.read_text()
+        file = load_airframe(name).urdf
+        text = file.read_text()
+        for mesh in file.parent.glob(f"{name}_*.obj"):
+            shutil.copy(mesh, tmp_path)
         for old, new in changes:
             assert old in text, f"{old!r} is not in {name}.urdf"
             text = text.replace(old, new)
@@ -159,6 +163,14 @@ def urdf(tmp_path):
         return path
 
     return write
+
+
+@pytest.fixture
+def finned(urdf):
+    """Path of a hummingbird with a fin, and no forward rotor."""
+    fin = '<wing name="fin" x="-0.1" y="0" z="0" span="0.1" chord="0.1" dihedral="1.57" '
+    fin += 'zero_lift="0" stall="0.2" drag="0.01" moment="0" efficiency="0.8"/></airframe>'
+    return urdf("hummingbird", ("</airframe>", fin))
 
 
 @pytest.fixture

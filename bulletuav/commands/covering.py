@@ -184,6 +184,7 @@ def list_environments() -> Iterator[tuple[str, dict[str, Any]]]:
         )
     for dynamics in DYNAMICS:
         yield "crossing", {"dynamics": dynamics, "wind": (3, 1, 0), "turbulence": "severe"}
+        yield "crossing", {"dynamics": dynamics, "airframe": "trainer", "thermals": {}}
         yield "crossing", {"dynamics": dynamics, "rays": "bullet"}
         for contacts in CONTACTS:
             yield "crossing", {"dynamics": dynamics, "contacts": contacts}

@@ -101,13 +101,13 @@ class Airspace(Environment):
         physics_hz: int = 240,
         decision_hz: int = 240,
         quaternion: Any = UPRIGHT,
-        rotor_speed: float | str | Sequence[Any] | np.ndarray = 0.0,
+        rotor_speed: float | str | Sequence[Any] | np.ndarray | None = None,
         obstacles: Sequence[Obstacle] = (),
         layout: Solids | None = None,
         sensors: Sequence[Any] = (),
         **options: Any,
     ) -> None:
-        """Create an airspace with drones at rest.
+        """Create an airspace with drones at rest, or in cruise if they cannot hover; see `place`.
 
         Args:
             position: (N, 3) start positions, m. A drone that stands on the ground has a height of
@@ -120,8 +120,8 @@ class Airspace(Environment):
             obstacles: Obstacles that `place_obstacle` can move into the world.
             layout: Static buildings.
             sensors: Names of sensors, or sensor objects, that all drones carry.
-            **options: dynamics, seed, effects, wind, wind_profile, turbulence, gravity, max_speed,
-                controller, contacts, friction, restitution, randomization, rays, camera,
+            **options: dynamics, seed, effects, wind, wind_profile, turbulence, thermals, gravity,
+                max_speed, controller, contacts, friction, restitution, randomization, rays, camera,
                 camera_size, camera_hz, camera_range, camera_depth, camera_mounts, num_beams,
                 max_range, lidar_elevations, lidar_frame, render_mode, render_size, debug,
                 threads; see `EnvOptions`.
@@ -144,7 +144,9 @@ class Airspace(Environment):
         self.swarm = Swarm(*map(_shown, state.swarm))
         self.levels, self.setpoint = _shown(state.levels), _shown(state.setpoint)
         self._held = (state.levels, state.setpoint, state.commanded)
-        self._widths = setpoint_widths(self.consumes, known, self.hover_speed.shape[1])
+        # A number for each rotor and control surface of the drone with the most
+        self._rotor_numbers = max(len(one.rotors) + len(one.surfaces) for one in known.airframe)
+        self._widths = setpoint_widths(self.consumes, known, self._rotor_numbers)
         self._turns = False
         self._has_loads = any(one.is_load for one in self.airframes)
         world.wind.reset(0, self.rng)
@@ -181,22 +183,24 @@ class Airspace(Environment):
         drones: Drones,
         position: Any,
         quaternion: Any = UPRIGHT,
-        velocity: Any = STILL,
+        velocity: Any = None,
         rates: Any = STILL,
-        rotor_speed: Any = 0.0,
+        rotor_speed: Any = None,
     ) -> None:
         """Set the state of drones and clear their history.
 
-        The drones keep their setpoints. Gusts and sensor biases continue.
+        The drones keep their setpoints. Gusts and sensor biases continue. Without a velocity,
+        aircraft that cannot hover and are placed above the ground fly level at cruise speed along
+        their heading, in trim: with the pitch, rotor speeds and deflections of level flight.
 
         Args:
             drones: Index of a drone, several indices, a mask (N,), or None for all.
             position: (3,) m, or a row for each of the drones.
             quaternion: (4,) body to world, or rows. Dynamics without tilt use the heading only.
-            velocity: (3,) in world axes, m/s, or rows.
+            velocity: (3,) in world axes, m/s, or rows. None for rest, or cruise.
             rates: (3,) in body axes, rad/s, or rows.
-            rotor_speed: (R,) or rows, or one number for all rotors, rad/s; or "hover". Dynamics
-                without motors always have the hover speed.
+            rotor_speed: (R,) or rows, or one number for all rotors, rad/s; or "hover". None for 0,
+                or the speed of cruise. Dynamics without motors always have the hover speed.
 
         Raises:
             ValueError: If there is no such drone, a number is invalid, or drones would overlap each
@@ -207,9 +211,11 @@ class Airspace(Environment):
         if isinstance(rotor_speed, str):
             rotor_speed = find_choice("rotor_speed", rotor_speed, {"hover": self.hover_speed})[rows]
         most = self.world.max_rotor_speed(rows)
-        state = state_numbers(most, position, quaternion, velocity, rates, rotor_speed)
+        motion = (STILL if velocity is None else velocity, rates)
+        speed = 0.0 if rotor_speed is None else rotor_speed
+        state = state_numbers(most, position, quaternion, *motion, speed)
         self.simulation.update_scene()
-        self.world.place(rows, state)
+        self.world.place(rows, state, velocity is None, rotor_speed is None)
 
     @exclusive
     def place_obstacle(
@@ -452,8 +458,7 @@ class Airspace(Environment):
         rows, count = rows_of(drones, len(self.airframes))
         level = level_of(level, self.consumes, self._options)
         speaks = yaw is not None or yaw_rate is not None
-        rotors = self.hover_speed.shape[1]
-        numbers = setpoint_numbers(level, setpoint, count, rotors, speaks)
+        numbers = setpoint_numbers(level, setpoint, count, self._rotor_numbers, speaks)
         turning = None if yaw_rate is None else angles("yaw_rate", yaw_rate, count)
         # Without a yaw in the setpoint, the present heading is held
         if yaw is not None:
@@ -472,7 +477,7 @@ class Airspace(Environment):
             state.yaw_rate[0, rows] = 0.0 if turning is None else turning
 
     def stop(self, drones: Drones = None) -> None:
-        """Switch motors off until the next command.
+        """Switch motors off until the next command; control surfaces return to 0.
 
         Args:
             drones: Index of a drone, several indices, a mask (N,), or None for all.
@@ -480,7 +485,7 @@ class Airspace(Environment):
         Raises:
             ValueError: If there is no such drone, or the dynamics has no motors.
         """
-        self.command(drones, SetpointLevel.ROTOR, np.zeros(self.hover_speed.shape[1]))
+        self.command(drones, SetpointLevel.ROTOR, np.zeros(self._rotor_numbers))
 
     def require_level(self, level: SetpointLevel | str) -> None:
         """Check that a setpoint level can be commanded.

@@ -400,7 +400,7 @@ def setpoint_widths(
     Args:
         consumes: Setpoint level that the dynamics consumes.
         options: Options of the airspace.
-        rotors: Number of rotors of a ROTOR setpoint.
+        rotors: Number of rotors and control surfaces of a ROTOR setpoint.
     """
     widths = {}
     for level in SetpointLevel:
@@ -454,7 +454,7 @@ def setpoint_numbers(
         level: Setpoint level.
         setpoint: Value of the argument.
         count: (M,) for M drones, () for one.
-        rotors: Number of rotors R of a ROTOR setpoint.
+        rotors: Number of rotors and control surfaces of a ROTOR setpoint.
         has_yaw: Whether a yaw or a yaw rate is given separately.
 
     Returns:

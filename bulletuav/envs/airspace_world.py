@@ -15,7 +15,7 @@ from bulletuav.envs.airspace_inputs import UPRIGHT, YAW
 from bulletuav.envs.bodies import Motion, follow_motion, park_body, set_body
 from bulletuav.envs.cables import loosen
 from bulletuav.envs.options import EnvOptions
-from bulletuav.envs.parts import BODY_BOUNDS, CONDITION_BOUNDS, Parts, sensor_setup
+from bulletuav.envs.parts import BODY_BOUNDS, CONDITION_BOUNDS, Parts, num_surfaces, sensor_setup
 from bulletuav.envs.snapshot import Bounds, contact_bounds, state_bounds
 from bulletuav.envs.state import STATE, AirspaceState, Sizes, with_prefix
 from bulletuav.geometry.obstacle import Obstacle
@@ -23,6 +23,7 @@ from bulletuav.geometry.rotation import from_euler, heading, quat4
 from bulletuav.geometry.scenery import Scenery
 from bulletuav.geometry.solids import Solids
 from bulletuav.sensors.base import Moment, Sensor
+from bulletuav.tasks.frame import STANDING_TOLERANCE
 from bulletuav.vehicle.swarm import CITY, GROUND, DroneArrays, Swarm
 
 ALL = np.ones(1, dtype=bool)
@@ -58,9 +59,16 @@ class AirspaceWorld(Parts):
         super().__init__(options, obstacles, layouts, sensors, sensor_setup(options, 1, wanted))
         consumes = self.dynamics.consumes
         options.check_setpoint_levels({consumes.name: consumes}, consumes)
-        # Setpoints have a yaw, or a number for each rotor
-        rotors, drones = self.hover_speed.shape[1], options.num_drones
-        sizes = Sizes(1, drones, S=max(YAW + 1, rotors), K=len(obstacles), R=rotors)
+        # Setpoints have a yaw, or a number for each rotor and control surface
+        rotors, surfaces = self.hover_speed.shape[1], num_surfaces(options)
+        sizes = Sizes(
+            W=1,
+            N=options.num_drones,
+            S=max(YAW + 1, rotors + surfaces),
+            K=len(obstacles),
+            R=rotors,
+            F=surfaces,
+        )
         self.state = state = AirspaceState.make(sizes)
         state.levels[:] = int(consumes)
         state.alive[:] = True
@@ -136,12 +144,20 @@ class AirspaceWorld(Parts):
         count = np.expand_dims(self.parameters["num_rotors"][0, rows], -1)
         return np.where(np.arange(self.hover_speed.shape[1]) < count, fastest, 0.0)
 
-    def place(self, rows: Any, given: tuple[np.ndarray, ...]) -> None:
+    def place(
+        self,
+        rows: Any,
+        given: tuple[np.ndarray, ...],
+        cruises: bool = False,
+        cruises_by_rotors: bool = False,
+    ) -> None:
         """Set the state of drones.
 
         Args:
             rows: Drones, as an index into an axis of N.
             given: States of the drones, in the order of `Swarm`.
+            cruises: Whether aircraft that cannot hover start in cruise above the ground.
+            cruises_by_rotors: Whether their rotors have the speed of cruise, too.
 
         Raises:
             ValueError: If drones would overlap each other or the scene, or a cable would be too
@@ -149,12 +165,15 @@ class AirspaceWorld(Parts):
         """
         swarm, before, dynamics = self.state.swarm, self.state.before, self.dynamics
         after = swarm.copy()
-        for array, numbers in zip(after, given, strict=True):
+        # Control surfaces are centred
+        for array, numbers in zip(after, (*given, 0.0), strict=True):
             array[0, rows] = numbers
-        if dynamics.consumes < SetpointLevel.ROTOR:
-            after.rotor_speed[0] = self.hover_speed
         moved = np.zeros_like(self.state.alive)
         moved[0, rows] = True
+        if cruises:
+            self._start_cruise(after, moved[0], cruises_by_rotors)
+        if dynamics.consumes < SetpointLevel.ROTOR:
+            after.rotor_speed[0] = self.hover_speed
         self.require_free(after, moved, self.engine.scenery)
         loosen(dynamics, after, moved)
         for array, numbers in zip(swarm, after, strict=True):
@@ -169,6 +188,18 @@ class AirspaceWorld(Parts):
             swarm.quaternion[w, i] = from_euler(0.0, 0.0, yaw[w, i])
         for array, numbers in zip(before, swarm, strict=True):
             array[moved] = numbers[moved]
+
+    def _start_cruise(self, after: Swarm, moved: np.ndarray, sets_rotors: bool) -> None:
+        """Write the cruise of the drones of `moved` (N,) that cannot hover and are in the air."""
+        standing = np.array([one.standing_height for one in self.options.airframe])
+        is_up = moved & (after.position[0, :, 2] > standing + STANDING_TOLERANCE)
+        drones = self.cruise.drones[is_up[self.cruise.drones]]
+        motion = (after.velocity[0], after.quaternion[0], after.rates[0])
+        wind = self.carrying_wind(after.position, self.state.steps / self.options.decision_hz)
+        self.cruise.write(motion, drones, np.zeros(wind[0].shape), wind[0])
+        after.deflection[0, drones] = self.cruise.deflection[drones]
+        if sets_rotors:
+            after.rotor_speed[0, drones] = self.cruise.rotor_speed[drones]
 
     def require_free(self, after: Swarm, moved: np.ndarray, scenery: Scenery) -> None:
         """Raise ValueError if drones of `moved` (1, N) would overlap a body."""
@@ -204,11 +235,16 @@ class AirspaceWorld(Parts):
         """Compute the rotor speeds (N, R) that controllers command at the present state, rad/s."""
         state, flight = self.state, self.dynamics.flight
         # Controllers advance their memory: here a copy of it
-        cascade = self.cascade._replace(memory=self.cascade.memory.copy())
+        cascade = self.cascade._replace(memory=self.cascade.memory.copy()).in_wind(state.wind)
         setpoints = Setpoints(state.levels, state.setpoint)
         drones = DroneArrays(state.swarm, state.alive, self.parameters)
         commands = (SetpointLevel.ROTOR, drones, cascade, flight.dt, flight.gravity)
-        speeds: np.ndarray = convert(setpoints, *commands)[0]
+        # A drone's deflections follow its own rotors
+        numbers = convert(setpoints, *commands)[0, :, : self.hover_speed.shape[1]]
+        rotors = np.arange(numbers.shape[1])
+        speeds: np.ndarray = np.where(
+            rotors < self.parameters["num_rotors"][0, :, None], numbers, 0.0
+        )
         return speeds
 
     def measure(self) -> None:
@@ -218,7 +254,8 @@ class AirspaceWorld(Parts):
         state = self.state
         targets = np.zeros((1, 0, 3))
         states = (state.before, state.swarm, targets, state.alive)
-        given = (np.zeros((*state.alive.shape, 0)), self.dynamics.local_gravity)
+        wind = self.measured_wind(state.swarm, state.steps)
+        given = (np.zeros((*state.alive.shape, 0)), self.dynamics.local_gravity, wind)
         moment = Moment(*states, state.steps, self.rng, {}, *given)
         for name, reading in self.sensors.measure(moment, self.show).items():
             self.readings[name] = reading[0].copy()

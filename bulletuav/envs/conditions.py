@@ -23,14 +23,12 @@ from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.dynamics.base import Dynamics
 from bulletuav.envs.energy import Energy
 from bulletuav.envs.events import CHANGES, MAX_EVENTS, MAX_GRAVITY, MAX_TIME, RANDOM, Event
-from bulletuav.envs.parts import Parts
+from bulletuav.envs.parts import WITHOUT_WIND, Parts
 from bulletuav.envs.snapshot import Bounds
 from bulletuav.errors import finite, numbers_of, shown, unknown
 
 MAX_ADDED = 1e6
 """Largest added mass, kg, and inertia, kg m^2, before the bounds of a drone are applied"""
-WITHOUT_WIND = ("single_integrator", "double_integrator")
-"""Dynamics that ignore wind"""
 ROTOR_DYNAMICS = "use dynamics 'rigid_body' or 'bullet'"
 OTHER_DYNAMICS = {
     "added_mass": ", or 'point_mass'",

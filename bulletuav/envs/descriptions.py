@@ -71,6 +71,7 @@ def describe_options(options: EnvOptions, config: Any) -> dict[str, Any]:
         "bodies": describe_bodies(options.bodies),
         "events": [event.described() for event in options.events],
         "communication": options.communication and options.communication.described(),
+        "thermals": options.thermals and dataclasses.asdict(options.thermals),
         "dynamics": options.dynamics_name,
         "observation": _observed_names(options.observation),
         "sensors": [find_sensor(one).name for one in options.sensors],

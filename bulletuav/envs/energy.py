@@ -10,6 +10,7 @@ from bulletuav.compiled.lanes import WIDTH, lane_zeros, lanes_row
 from bulletuav.compiled.program import Program
 from bulletuav.envs.options import EnvOptions
 from bulletuav.envs.rows import add_rows, add_value
+from bulletuav.geometry.rotation import vec3
 from bulletuav.vehicle.battery import (
     Battery,
     battery_speed_ratio,
@@ -20,12 +21,15 @@ from bulletuav.vehicle.battery import (
 from bulletuav.vehicle.parameters import PARAMETERS
 from bulletuav.vehicle.power import (
     ROTARY_WING,
+    W20,
     RotaryWing,
     airframe_wing,
     fill_actuator_power,
     propulsion_power,
+    rotor_power,
 )
 from bulletuav.vehicle.swarm import Swarm
+from bulletuav.vehicle.wing_power import WING_POWER, wing_power, winged_power
 
 MASS = list(PARAMETERS.names or ()).index("mass")
 """Index of the mass among the numbers of a row of `PARAMETERS`, which begins with it"""
@@ -36,8 +40,9 @@ class Energy:
 
     With the option `energy` "zeng" power follows from the rotary-wing formula, at the velocity
     relative to the air, from the present mass and gravity, and from the pull of cables. With
-    "actuator", and always if the option `gravity` is 0, it is the power of the simulated rotors.
-    Both are electrical, with the losses of the airframe's motors.
+    "actuator", and always if the option `gravity` is 0, it is the power of the simulated rotors. So
+    it is for aircraft with wings; dynamics without rotors compute theirs from the drag polar, see
+    `bulletuav.vehicle.wing_power`. All are electrical, with the losses of the airframe's motors.
 
     Attributes:
         power: (W, N) mean power over the last decision, W.
@@ -50,6 +55,7 @@ class Energy:
         parameters: np.ndarray,
         supply: np.ndarray,
         local_gravity: np.ndarray,
+        has_rotors: bool,
     ) -> None:
         """Start with full batteries.
 
@@ -59,6 +65,7 @@ class Energy:
             supply: (W, N) fraction of the commanded rotor speed that motors reach; written with the
                 effect "voltage".
             local_gravity: (W, N) gravitational acceleration that acts on the drones, m/s^2.
+            has_rotors: Whether the dynamics simulates rotors.
         """
         self.power, self.voltage = np.zeros((2, *parameters.shape))
         self._battery = Battery(parameters.shape, _capacities(options))
@@ -73,13 +80,19 @@ class Energy:
         self._wings: np.ndarray | None = None
         # The rotary-wing formula computes power from the weight, so it needs gravity
         if options.energy == "zeng" and options.gravity > 0:
-            wings = [airframe_wing(airframe, options.gravity) for airframe in options.airframe]
+            # Drones that cannot hover have none; their power is replaced
+            wings = [
+                airframe_wing(airframe, options.gravity) if airframe.hover_speed() > 0 else W20
+                for airframe in options.airframe
+            ]
             self._wings = np.array([wings] * len(parameters), dtype=ROTARY_WING)
             # Constant, so packed once, block by block
             self._packed = lane_zeros(-(-parameters.size // WIDTH), len(RotaryWing._fields))
             pack_numbers(self._wings.view(float).reshape(*parameters.shape, -1), self._packed)
             # The same numbers as in the rows, which change in flight
             self._numbers = parameters.view(float).reshape(*parameters.shape, -1)
+        self._winged = np.array([wing_power(airframe) for airframe in options.airframe], WING_POWER)
+        self._has_rotors = has_rotors
 
     def add_start(self, program: Program, worlds: np.ndarray, charge: np.ndarray) -> None:
         """Add to a program that batteries of worlds (W,) bool that start an episode are charged.
@@ -134,6 +147,13 @@ class Energy:
             velocities = (before.velocity, after.velocity, wind)
             given = (self._numbers, self._gravity, pull, self._wings, self._packed)
             program.call(_fill_propulsion, *velocities, *given, self.power)
+            if self._has_rotors and self._winged["num_rotors"].any():
+                speeds = (before.rotor_speed, after.rotor_speed)
+                program.call(_fill_shaft_power, *speeds, self._parameters, self._winged, self.power)
+            elif self._winged["num_rotors"].any():
+                air = (self._parameters, self._gravity, self._period)
+                rows = (self._winged, self._wings[0])
+                program.call(_fill_winged_power, *velocities, *air, *rows, self.power)
         program.call(_add_payload, payload, flown, self.power)
         battery, net = self._battery, self.power
         if charging is not None:
@@ -205,6 +225,74 @@ def _fill_propulsion(
         load = (weight + gathered(pull, first, 0)) / wing.weight
         count = min(power.size - first, WIDTH)
         scatter(power, first, count, propulsion_power(velocity, wing, load))
+
+
+@kernel
+def _fill_shaft_power(
+    before: np.ndarray,
+    after: np.ndarray,
+    parameters: np.ndarray,
+    winged: np.ndarray,
+    power: np.ndarray,
+) -> None:
+    """Replace the power (W, N) of drones with wings by that of their simulated rotors, W.
+
+    Args:
+        before: (W, N, R) rotor speeds before the decision, rad/s.
+        after: (W, N, R) rotor speeds after the decision.
+        parameters: (W, N) rows of `PARAMETERS`.
+        winged: (N,) rows of `WING_POWER`.
+        power: Written.
+    """
+    for w in range(power.shape[0]):
+        for i in range(power.shape[1]):
+            if winged[i].num_rotors > 0.0:
+                row = parameters[w, i]
+                shafts = rotor_power(before[w, i], after[w, i], row)
+                power[w, i] = shafts / row.efficiency + row.electronics
+
+
+@kernel
+def _fill_winged_power(
+    before: np.ndarray,
+    after: np.ndarray,
+    wind: np.ndarray,
+    parameters: np.ndarray,
+    gravity: np.ndarray,
+    period: float,
+    winged: np.ndarray,
+    rotary: np.ndarray,
+    power: np.ndarray,
+) -> None:
+    """Replace the power (W, N) of drones with wings by that of their drag polar, W.
+
+    Args:
+        before: (W, N, 3) velocities before the decision, m/s.
+        after: (W, N, 3) velocities after the decision.
+        wind: (W, N, 3) velocity of the air, m/s.
+        parameters: (W, N) rows of `PARAMETERS`.
+        gravity: (W, N) gravitational acceleration that acts on the drones, m/s^2.
+        period: Duration of the decision, s.
+        winged: (N,) rows of `WING_POWER`.
+        rotary: (N,) rows of `ROTARY_WING` of their lift rotors.
+        power: Written.
+    """
+    for w in range(power.shape[0]):
+        for i in range(power.shape[1]):
+            if winged[i].num_rotors > 0.0:
+                begin, end = vec3(before, w, i), vec3(after, w, i)
+                air, mass = vec3(wind, w, i), parameters[w, i].mass
+                velocity = (
+                    (begin[0] + end[0]) / 2 - air[0],
+                    (begin[1] + end[1]) / 2 - air[1],
+                    (begin[2] + end[2]) / 2 - air[2],
+                )
+                force = (
+                    mass * ((end[0] - begin[0]) / period),
+                    mass * ((end[1] - begin[1]) / period),
+                    mass * ((end[2] - begin[2]) / period + gravity[w, i]),
+                )
+                power[w, i] = winged_power(velocity, force, winged[i], rotary[i])
 
 
 @kernel

@@ -17,7 +17,7 @@ from bulletuav.envs.cables import require_cables
 from bulletuav.envs.global_state import GlobalState
 from bulletuav.envs.loads import require_lift
 from bulletuav.envs.options import EnvOptions, check_names
-from bulletuav.envs.parts import sensor_setup
+from bulletuav.envs.parts import num_surfaces, sensor_setup
 from bulletuav.envs.resolve_options import resolve_options
 from bulletuav.envs.state import Sizes, State
 from bulletuav.envs.teams import of_drones
@@ -52,6 +52,7 @@ from bulletuav.tasks.observations.observer import (
     requested_readings,
 )
 from bulletuav.tasks.starts import read_given_positions
+from bulletuav.vehicle.cruise import top_speed, turn_radius
 
 MAX_WORLDS = 1_000_000
 BODY_BYTES, OBSTACLE_BYTES, LAYOUT_BYTES = 100_000, 5_000, 100_000
@@ -312,9 +313,11 @@ class EnvSpec:
         They are computed from the shapes of a state of zero worlds.
         """
         rotors = max(len(one.rotors) for one in self.options.airframe)
-        # Setpoints have three numbers and a yaw, or one for each rotor
-        numbers = (self.action.low.shape[-1], max(4, rotors))
-        sizes = Sizes(0, self.options.num_drones, *numbers, len(self.task.obstacles()), rotors)
+        surfaces = num_surfaces(self.options)
+        # Setpoints have three numbers and a yaw, or one for each rotor and control surface
+        numbers = (self.action.low.shape[-1], max(4, rotors + surfaces))
+        obstacles = len(self.task.obstacles())
+        sizes = Sizes(0, self.options.num_drones, *numbers, obstacles, rotors, surfaces)
         return State.make(sizes, self.task.memory()).world_bytes()
 
     def mask(self, mask: np.ndarray | None) -> np.ndarray:
@@ -472,6 +475,7 @@ def _make_task(kind: type[Task[Any]], config: TaskConfig, options: EnvOptions) -
             make_beams(options.num_beams, options.lidar_elevations),
             options.max_range,
             tuple(airframe.standing_height for airframe in options.airframe),
+            max((turn_radius(one) for one in options.airframe if one.needs_airspeed), default=0.0),
         ),
     )
     # The resulting scene is checked, as valid sizes alone do not suffice
@@ -523,6 +527,10 @@ def _make_action(options: EnvOptions, task: Task[Any]) -> Action:
             f"action {others[0]!r} does not command velocities, and task {task.name!r} limits "
             f"the commanded speeds: choose action='velocity', or options without limits"
         )
+    if any(one.needs_airspeed for one in options.airframe) and not others:
+        # Drones of a mixed fleet may be slower than the max_speed of the environment
+        own = np.minimum([top_speed(one) for one in options.airframe], options.max_speed)
+        task.speed_limit = own if limit is None else np.minimum(own, limit)
     return action
 
 

@@ -63,6 +63,7 @@ class EpisodeStart:
         self._start: Program | None = None
         self._update: _AccountUpdate | None = None
         self._slots: list[Slots] = []
+        self._given: Sequence[GivenStart] = ()
         self.by_world_programs: tuple[ByWorld, ByWorld] | None = None
         self.is_account_complete = True
 
@@ -97,22 +98,27 @@ class EpisodeStart:
             )
         # Most starts are complete as drawn
         is_whole = task.has_goals and not task.takes_off and all(one is DRAWN for one in given)
-        if not is_whole or task.overrides_method("finish"):
+        if not is_whole or task.overrides_method("finish") or worlds.cruise.drones.size:
             spawns = [
-                one.motion.apply_to(task.finish(spawn, one.positions, rng))
-                if isinstance(spawn, Spawn)
-                else spawn
+                self._finish(spawn, one, rng) if isinstance(spawn, Spawn) else spawn
                 for spawn, rng, one in zip(spawns, generators, given, strict=True)
             ]
         self.starts.store(spawns)
         for row, one in zip(self._charge, given, strict=False):
             row[:] = 1.0 if one.charge is None else one.charge
-        self._slots = []
+        self._slots, self._given = [], given
         if worlds.bodies.count:
             self._draw_bodies(spawns, generators, given)
         if worlds.options.has_absent:
             # After the starts, which therefore do not depend on the range
             self._drawn_members = [self._draw_members(rng) for rng in generators]
+
+    def _finish(self, spawn: Spawn, given: GivenStart, rng: np.random.Generator) -> Spawn:
+        """Complete a drawn start of one world."""
+        task = self._worlds.task
+        spawn = task.finish(spawn, given.positions, rng)
+        spawn = self._worlds.cruise.apply_to(spawn, task.has_goals)
+        return given.motion.apply_to(spawn)
 
     def _draw_bodies(
         self,
@@ -139,8 +145,7 @@ class EpisodeStart:
                 if not blocked:
                     break
                 (spawn,) = task.spawn_many([rng])
-                start = task.finish(spawn, given[k].positions, rng)
-                spawns[k] = given[k].motion.apply_to(start)
+                spawns[k] = self._finish(spawn, given[k], rng)
                 self.starts.store(spawns)
             else:
                 raise ValueError(
@@ -244,6 +249,8 @@ class EpisodeStart:
         program, fresh, worlds, state = Program(), self._fresh, self._worlds, self._worlds.state
         self._add_rows(program)
         program.call(expand_mask, fresh, self._fresh_drones)
+        if worlds.cruise.drones.size:
+            program.callback(self._start_cruise)
         if worlds.options.has_absent:
             program.callback(self._leave_out_absent)
         if worlds.loads is None:
@@ -261,6 +268,16 @@ class EpisodeStart:
         program.callback(self._keep_contacts)
         program.callback(lambda: worlds.measure(state.swarm, state.swarm, self._fresh_drones))
         return program
+
+    def _start_cruise(self) -> None:
+        """Start aircraft that cannot hover in the wind of the episode, which is drawn by now."""
+        state = self._worlds.state
+        self._worlds.start_cruise(self._fresh_drones)
+        for k, one in zip(self._fresh_indices, self._given, strict=False):
+            for name, value in one.motion._asdict().items():
+                if value is not None:
+                    getattr(state.swarm, name)[k] = value
+        state.commanded[self._fresh] = state.swarm.velocity[self._fresh]
 
     def _leave_out_absent(self) -> None:
         """Treat absent drones as those whose episode ended, and clear their old readings."""
@@ -301,6 +318,7 @@ class EpisodeStart:
         speed = 0.0 if worlds.task.takes_off else worlds.hover_speed
         values = [
             (speed, swarm.rotor_speed),
+            (worlds.cruise.deflection, swarm.deflection),
             (0.0, worlds.cascade.memory),
             (True, state.alive),
             (0, state.steps),

@@ -185,7 +185,7 @@ class LoadFlight:
         """
         loads = len(self._loads.loads)
         resting = np.zeros((len(mask), loads, swarm.rotor_speed.shape[2]))
-        pairs = zip(swarm, (*self._parts, resting), strict=True)
+        pairs = zip(swarm, (*self._parts, resting, resting[..., :0]), strict=True)
         bodies = Swarm(*(np.concatenate(pair, axis=1) for pair in pairs))
         shown = np.repeat(mask.any(axis=1, keepdims=True), loads, axis=1)
         return bodies, np.concatenate([mask, shown], axis=1)

@@ -25,7 +25,9 @@ from bulletuav.sensors.messages import Channel, as_channel
 from bulletuav.sensors.mounts import as_mounts
 from bulletuav.tasks.observations.images import ARRAY, CAMERA_FORMATS, MAX_FRAMES
 from bulletuav.vehicle.airframe import STANDARD_GRAVITY, Airframe
+from bulletuav.vehicle.cruise import limiting_airframe, top_speed
 from bulletuav.vehicle.parameters import DEFAULT_EFFECTS, EFFECTS
+from bulletuav.vehicle.thermals import Thermals, as_thermals
 from bulletuav.vehicle.wind import (
     MAX_WIND,
     TURBULENCE,
@@ -49,6 +51,7 @@ MAX_BEAMS = 8192  # of a drone's range finder, in total
 MAX_LIDAR_RANGE = 10_000.0  # m
 MAX_CAPACITY = 1e6  # W h
 MIN_SHARED = 64  # drones of a single world that several threads share
+GRAVITY_TOLERANCE = 0.01  # relative difference from standard gravity that aircraft with wings allow
 MAX_NAMES = 100  # in a list of names
 MAX_SIZE, MAX_COUNT = 1e9, 10**9  # of task config numbers without a bound of their own
 MAX_WEIGHT = 1e6
@@ -124,6 +127,9 @@ class EnvOptions:
             `bulletuav.vehicle.wind.PROFILES`.
         turbulence: Dryden gusts, one field in each world: None, "light", "moderate", "severe", or
             the wind speed at 20 feet that scales them, m/s.
+        thermals: Columns of rising air, with sinking air between them: None, or a dict of
+            attributes of `bulletuav.vehicle.thermals.Thermals`, such as {"strength": 2.5}; {} for
+            its defaults.
         randomization: Randomized parameters, such as {"gps_noise": 1.0}; see
             `bulletuav.envs.randomization.Randomization`.
         events: Changes during each episode, at fixed or random times, such as the failure of a
@@ -148,7 +154,8 @@ class EnvOptions:
         frame_stack: Number of frames of an observed picture: those of the last decisions, the
             oldest first; at a reset all are the first one. In the format "array" they are a new
             first axis, in the format "image" channels. 1 for no stack.
-        gravity: Gravitational acceleration, m/s^2; 0 for none.
+        gravity: Gravitational acceleration, m/s^2; 0 for none. Within 1 % of standard gravity if
+            an aircraft flies on wings.
         num_beams: Beams of the range finder (observation "lidar") at each elevation, evenly spaced
             in azimuth.
         max_range: Maximum range of the range finder and of the clearance, m.
@@ -212,6 +219,7 @@ class EnvOptions:
     wind: tuple[float, float, float] | WindField = (0.0, 0.0, 0.0)
     wind_profile: Profile | None = None
     turbulence: str | float | None = None
+    thermals: Thermals | None = None
     randomization: Randomization = CERTAIN
     events: tuple[Event, ...] = ()
     camera: str = "compiled"
@@ -392,12 +400,12 @@ class EnvOptions:
                 f"for each drone"
             )
         self._keep("max_speed", finite("max_speed", self.max_speed))
-        slowest = min(self.airframe, key=lambda airframe: airframe.max_speed)
-        if not 0 < self.max_speed <= slowest.max_speed:
+        limiting = limiting_airframe(self.airframe)
+        if not 0 < self.max_speed <= top_speed(limiting):
             raise ValueError(
                 f"max_speed is {self.max_speed:g} m/s: it must be above 0 and at most the "
-                f"{slowest.max_speed:g} m/s of "
-                f"airframe {slowest.name!r}"
+                f"{top_speed(limiting):g} m/s of "
+                f"airframe {limiting.name!r}"
             )
         if self.max_climb is not None:
             self._keep("max_climb", finite("max_climb", self.max_climb))
@@ -421,10 +429,18 @@ class EnvOptions:
         for airframe in self.airframe:
             if airframe.is_load:
                 continue
-            if airframe.max_thrust <= airframe.mass * self.gravity:
+            lifts = airframe.max_thrust > airframe.mass * self.gravity
+            if not lifts and (airframe.can_hover or not airframe.wings):
                 raise ValueError(
                     f"gravity is {self.gravity:g} m/s^2: airframe {airframe.name!r} lifts at most "
                     f"{airframe.max_thrust / airframe.mass:.3g} m/s^2 and cannot hover"
+                )
+            differs = abs(self.gravity / STANDARD_GRAVITY - 1.0) > GRAVITY_TOLERANCE
+            if airframe.forward_rotors and differs:
+                raise ValueError(
+                    f"gravity is {self.gravity:g} m/s^2: limits and controllers of airframe "
+                    f"{airframe.name!r}, which flies on wings, are those at {STANDARD_GRAVITY:g} "
+                    f"m/s^2; leave gravity out, or choose a multirotor"
                 )
             if self.controller == "pid" and airframe.pwm is None:
                 raise ValueError(
@@ -455,6 +471,7 @@ class EnvOptions:
             self._keep("turbulence", finite("turbulence", self.turbulence, most=MAX_WIND))
             if self.turbulence < 0:
                 raise ValueError(f"turbulence is {self.turbulence:g} m/s: it must not be negative")
+        self._keep("thermals", as_thermals(self.thermals))
         self._keep("gravity", finite("gravity", self.gravity))
         if self.gravity < 0:
             raise ValueError(f"gravity is {self.gravity:g} m/s^2: it must not be negative")

@@ -10,6 +10,7 @@ import numpy as np
 from bulletuav.compiled.kernel import kernel
 from bulletuav.compiled.program import Program
 from bulletuav.contact.moving_bodies import finish_bodies
+from bulletuav.control.autopilot import autopilot_rows
 from bulletuav.control.cascade import Cascade
 from bulletuav.control.gains import gain_rows
 from bulletuav.dynamics import find_dynamics
@@ -17,6 +18,7 @@ from bulletuav.dynamics.base import Dynamics, FlightSetup
 from bulletuav.engine.body_source import UNIT
 from bulletuav.engine.engine import Engine
 from bulletuav.envs.bodies import MAX_SPEED, MAX_SPIN
+from bulletuav.envs.cruise import CruiseStarts
 from bulletuav.envs.events import MAX_GRAVITY
 from bulletuav.envs.options import EnvOptions
 from bulletuav.envs.randomization import Uncertainty
@@ -38,7 +40,10 @@ from bulletuav.vehicle.airframe import Airframe
 from bulletuav.vehicle.parameters import parameter_rows
 from bulletuav.vehicle.swarm import Swarm
 from bulletuav.vehicle.wind import Wind
+from bulletuav.vehicle.wings import WingTable
 
+WITHOUT_WIND = ("single_integrator", "double_integrator")
+"""Dynamics that ignore wind"""
 BODY_STATE = ("position", "quaternion", "velocity", "spin")
 """Arrays of `Scenery.bodies` that are in snapshots"""
 MAX_PLACE = 1e7
@@ -66,7 +71,9 @@ class Parts(ABC):
         parameters: (W, N) rows of `PARAMETERS` that the dynamics uses; those of loads follow in
             `dynamics.flight`.
         cascade: Controllers.
-        hover_speed: (N, R) rotor speeds at which the drones hover, rad/s.
+        cruise: Cruise of the drones that cannot hover.
+        hover_speed: (N, R) rotor speeds at which the drones hover, or cruise if they cannot hover,
+            rad/s.
         wind: Steady wind and gusts.
         uncertainty: Randomized parameters of the episodes.
         sensors: All sensors.
@@ -96,8 +103,11 @@ class Parts(ABC):
         self.dynamics = make_dynamics(options, airframes, self.engine)
         self.parameters = self.dynamics.flight.parameters[:, : options.num_drones]
         self.cascade = self.dynamics.flight.cascade
-        self.hover_speed = hover_speeds(options)
-        self.wind = Wind(options.wind, options.wind20, num_worlds, options.wind_profile)
+        self.cruise = CruiseStarts(options.airframe, num_surfaces(options))
+        self.hover_speed = hover_speeds(options) + self.cruise.rotor_speed
+        self.wind = Wind(
+            options.wind, options.wind20, num_worlds, options.wind_profile, options.thermals
+        )
         self.uncertainty = Uncertainty(
             options.randomization, self.engine, self.parameters, self.wind
         )
@@ -112,6 +122,29 @@ class Parts(ABC):
     def shown(self, swarm: Swarm, mask: np.ndarray) -> tuple[Swarm, np.ndarray]:
         """Return the state and the mask (W, N) of the bodies that are shown: the drones."""
         return swarm, mask
+
+    def measured_wind(self, swarm: Swarm, steps: np.ndarray) -> np.ndarray | None:
+        """Return the wind (W, N, 3) at the drones after a number of decisions (W,), m/s.
+
+        It is None if no sensor reads the wind.
+        """
+        if not self.sensors.needs_wind:
+            return None
+        return self.wind.sample(swarm.position, steps / self.options.decision_hz)
+
+    def carrying_wind(self, position: np.ndarray, time: np.ndarray) -> np.ndarray:
+        """Return the wind that carries drones: calm air in dynamics that ignore wind.
+
+        Args:
+            position: (W, N, 3) positions, m.
+            time: (W,) time of each world, s.
+
+        Returns:
+            (W, N, 3) wind, world axes, m/s.
+        """
+        if self.options.dynamics_name in WITHOUT_WIND:
+            return np.zeros(position.shape)
+        return self.wind.sample(position, time)
 
     def layout(self, of: str, parts: Mapping[str, str]) -> SnapshotLayout:
         """Return the layout of arrays in snapshots.
@@ -204,21 +237,38 @@ def make_engine(
 
 
 def make_dynamics(options: EnvOptions, airframes: Sequence[Airframe], engine: Engine) -> Dynamics:
-    """Create the dynamics of all drones with their controllers; see `Dynamics.flight`."""
+    """Create the dynamics of all drones with their controllers; see `Dynamics.flight`.
+
+    Raises:
+        ValueError: If aircraft with wings fly with loads, whose cables ignore wings.
+    """
+    winged = [one.name for one in airframes if one.wings]
+    if winged and any(one.is_load for one in airframes):
+        raise ValueError(
+            f"airframe {winged[0]!r} has wings, and cannot carry loads: choose a multirotor"
+        )
     # Controllers have a copy with the nominal airframe, whatever is randomized
     worlds = (engine.shape[0], 1)
     parameters = np.tile(parameter_rows(airframes, options.effects), worlds)
     gains = np.tile(gain_rows(airframes, options.max_speed), worlds)
+    pilots = autopilot_rows(airframes, options.max_speed)
     flight = FlightSetup(
         engine,
         parameters,
-        Cascade.of(options.controller, parameters.copy(), gains, options.integral),
+        Cascade.of(
+            options.controller,
+            parameters.copy(),
+            gains,
+            options.integral,
+            None if pilots is None else np.tile(pilots, worlds),
+        ),
         1 / options.physics_hz,
         options.substeps,
         options.gravity,
         options.contacts or "",
         options.friction,
         options.restitution,
+        WingTable.of(airframes, engine.shape[0]),
     )
     return find_dynamics(options.dynamics)(flight)
 
@@ -235,13 +285,25 @@ def add_obstacles(program: Program, engine: Engine, obstacle: np.ndarray) -> Non
 
 
 def hover_speeds(options: EnvOptions) -> np.ndarray:
-    """Return the rotor speeds (N, R) at which drones hover, rad/s; 0 for missing rotors."""
+    """Return the rotor speeds (N, R) at which drones hover, rad/s; 0 for missing rotors.
+
+    They are 0 for aircraft that cannot hover.
+    """
     # At least one column, as arrays of the airspace of a load alone could not be reshaped
     rotors = max(1, *(len(one.rotors) for one in options.airframe))
     speeds = np.zeros((options.num_drones, rotors))
     for row, airframe in zip(speeds, options.airframe, strict=True):
+        if airframe.needs_airspeed:
+            continue
         row[: len(airframe.rotors)] = airframe.hover_speed(options.gravity)
+        row[list(airframe.forward_rotors)] = 0.0
     return speeds
+
+
+def num_surfaces(options: EnvOptions) -> int:
+    """Return the maximum number of control surfaces of a drone, at least 1 if any has wings."""
+    # Panels without a surface read the first
+    return max(len(one.surfaces) or min(len(one.wings), 1) for one in options.airframe)
 
 
 def sensor_setup(options: EnvOptions, num_worlds: int, wanted: frozenset[str]) -> SensorSetup:

@@ -31,6 +31,7 @@ WIND = {"wind": Uncertain(-100.0, 100.0, per="world")}
 FACTORS = {
     "mass": ("mass", "inertia"),
     "thrust": ("thrust_coefficient", "torque_coefficient"),
+    # Of an aircraft with wings: of its fuselage and rotors, not of its wings
     "drag": ("drag_xy", "drag_z", "body_drag_xy", "body_drag_z", "damping"),
     "motor_lag": ("lag_up", "lag_down"),
 }

@@ -31,11 +31,13 @@ from bulletuav.errors import (
 )
 from bulletuav.sensors.base import Sensor
 from bulletuav.sensors.suite import known_sensors
+from bulletuav.tasks import find_task, list_tasks
 from bulletuav.tasks.base import Task
 from bulletuav.tasks.config import DEFAULTS, TaskConfig
 from bulletuav.tasks.observations.base import Block
 from bulletuav.vehicle.airframe import Airframe
 from bulletuav.vehicle.airframes import load_airframe
+from bulletuav.vehicle.cruise import limiting_airframe, top_speed
 
 NEVER_NONE = (
     "num_drones",
@@ -97,6 +99,7 @@ def resolve_options(task: type[Task[Any]], given: Mapping[str, Any]) -> Resolved
     make_tuples(values)
     _split_range(values)
     _load_airframes(values, given)
+    _fit_forward_flight(task, values, given)
     if "action" not in given and isinstance(values["action"], str):
         values["action"] = action_for(values["dynamics"], values["action"], values["airframe"])
     sensors = known_sensors(values.get("sensors", ()))
@@ -219,7 +222,36 @@ def _load_airframes(values: dict[str, Any], given: Mapping[str, Any]) -> None:
         values["num_drones"] = len(values["airframe"])
     if "max_speed" not in given:
         limit = finite("max_speed", values["max_speed"])
-        values["max_speed"] = min(limit, *(one.max_speed for one in values["airframe"]))
+        values["max_speed"] = min(limit, top_speed(limiting_airframe(values["airframe"])))
+
+
+def _fit_forward_flight(
+    task: type[Task[Any]], values: dict[str, Any], given: Mapping[str, Any]
+) -> None:
+    """Fit a task's sizes to aircraft that cannot hover; given ones and those of a preset stay.
+
+    Raises:
+        ValueError: If the task is not for such aircraft.
+    """
+    forward = [one for one in values["airframe"] if one.needs_airspeed]
+    if not forward:
+        return
+    name = forward[0].name
+    if task.needs_hover:
+        fit = [one for one in list_tasks() if not find_task(one).needs_hover]
+        raise ValueError(
+            f"airframe {name!r} cannot hover, as task {task.name!r} needs: choose an airframe that "
+            f"hovers, or another task: {', '.join(fit)}, or your own with needs_hover = False"
+        )
+    if values.get("take_off"):
+        raise ValueError(
+            f"take_off is True, and airframe {name!r} cannot take off from its start: leave "
+            f"take_off out, and it starts in flight"
+        )
+    preset = task.presets.get(given.get("preset") or "", {})
+    # The name of a reward has become weights
+    kept = {name: values[name] for name in (*preset, *given) if name in values}
+    values |= {**task.forward_options(forward, values, kept), **kept}
 
 
 def action_for(dynamics: str | type[Dynamics], action: str, airframes: Sequence[Airframe]) -> str:

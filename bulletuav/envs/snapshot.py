@@ -369,6 +369,7 @@ def state_bounds(swarm: Swarm) -> dict[str, tuple[float, float]]:
         "velocity": (-FASTEST, FASTEST),
         "rates": (-FASTEST_SPIN, FASTEST_SPIN),
         "rotor_speed": (0.0, MAX_ROTOR_SPEED),
+        "deflection": (-math.pi, math.pi),
         "parameters.num_rotors": (0, swarm.rotor_speed.shape[-1]),
     }
 

@@ -61,6 +61,7 @@ class Sizes(NamedTuple):
         S: Size of a setpoint.
         K: Number of obstacles in a world.
         R: Maximum number of rotors of a drone.
+        F: Maximum number of control surfaces of a drone.
     """
 
     W: int
@@ -69,6 +70,7 @@ class Sizes(NamedTuple):
     S: int = 0
     K: int = 0
     R: int = 0
+    F: int = 0
 
 
 class Arrays:
@@ -186,7 +188,7 @@ class State(Arrays):
             sizes: Lengths of their axes.
             memory: Shape of each array of the task's memory in one world, by name.
         """
-        swarm = Swarm.zeros(sizes.W, sizes.N, sizes.R)
+        swarm = Swarm.zeros(sizes.W, sizes.N, sizes.R, sizes.F)
         scene = Scene.empty(sizes.W, sizes.N, sizes.K, memory)
         return cls(swarm, swarm.copy(), scene, **cls.zeros(sizes))
 
@@ -218,7 +220,7 @@ class AirspaceState(Arrays):
     @classmethod
     def make(cls, sizes: Sizes) -> "AirspaceState":
         """Allocate all arrays, of sizes with W = 1."""
-        swarm = Swarm.zeros(sizes.W, sizes.N, sizes.R)
+        swarm = Swarm.zeros(sizes.W, sizes.N, sizes.R, sizes.F)
         return cls(swarm, swarm.copy(), **cls.zeros(sizes))
 
 

@@ -3,14 +3,16 @@
 import numpy as np
 
 from bulletuav.control.actions import Action
+from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.dynamics.cables import cable_bounds
 from bulletuav.envs.action_masks import ActionMasks, response_of
 from bulletuav.envs.conditions import Schedule
 from bulletuav.envs.contact_record import ContactRecord
+from bulletuav.envs.cruise import directions_to_goals
 from bulletuav.envs.energy import Energy
 from bulletuav.envs.env_spec import EnvSpec
 from bulletuav.envs.loads import LoadFlight, drone_rows
-from bulletuav.envs.parts import BODY_BOUNDS, CONDITION_BOUNDS, Parts
+from bulletuav.envs.parts import BODY_BOUNDS, CONDITION_BOUNDS, Parts, num_surfaces
 from bulletuav.envs.results import Results
 from bulletuav.envs.snapshot import UNSTARTED, Bounds, contact_bounds, state_bounds
 from bulletuav.envs.state import LAST, STATE, Sizes, State, with_prefix
@@ -71,7 +73,8 @@ class Worlds(Parts):
         if task.loads is not None:
             # Its kernels need arrays of drones only
             given = drone_rows(self.dynamics, options.num_drones)
-        self.energy = Energy(options, *given)
+        has_rotors = self.dynamics.consumes == SetpointLevel.ROTOR
+        self.energy = Energy(options, *given, has_rotors)
         self.schedule = Schedule(self, self.energy)
         self.contacts = ContactRecord(self.dynamics, options.num_drones)
         self.rng: list[np.random.Generator] = [UNSTARTED] * self.num_worlds
@@ -91,7 +94,8 @@ class Worlds(Parts):
         size = action.low.shape[-1]
         setpoint = action.decode(np.zeros((*shape, size)), np.zeros((*shape, 3)))
         rotors = self.hover_speed.shape[1]
-        sizes = Sizes(*shape, size, setpoint.shape[-1], num_obstacles, rotors)
+        surfaces = num_surfaces(self.options)
+        sizes = Sizes(*shape, size, setpoint.shape[-1], num_obstacles, rotors, surfaces)
         self.state = state = State.make(sizes, task.memory())
         state.setpoint[:] = setpoint
         state.levels[:] = action.levels
@@ -167,6 +171,18 @@ class Worlds(Parts):
         else:
             self.engine.note_obstacles(*obstacles)
 
+    def start_cruise(self, due: np.ndarray) -> None:
+        """Write the cruise of the drones of `due` (W, N) bool that cannot hover, in the wind."""
+        cruise, state, swarm = self.cruise, self.state, self.state.swarm
+        if not due[:, cruise.drones].any():
+            return
+        wind = self.carrying_wind(swarm.position, state.steps / self.options.decision_hz)
+        has_goals = self.task.has_goals
+        to_goal = directions_to_goals(swarm.position, state.scene.goal, has_goals)
+        for w in np.flatnonzero(due.any(axis=1)).tolist():
+            motion = (swarm.velocity[w], swarm.quaternion[w], swarm.rates[w])
+            cruise.write(motion, cruise.drones[due[w, cruise.drones]], to_goal[w], wind[w])
+
     def restore_flight(self, mask: np.ndarray) -> None:
         """Resume drones of `mask` (W, N), with their loads, after a snapshot was written."""
         if self.loads is None:
@@ -187,7 +203,8 @@ class Worlds(Parts):
         if not self.sensors.sensors:
             return
         targets = self.task.targets(self.state.scene)
-        given = (self.state.action, self.dynamics.local_gravity[:, : mask.shape[1]])
+        gravity = self.dynamics.local_gravity[:, : mask.shape[1]]
+        given = (self.state.action, gravity, self.measured_wind(after, self.state.steps))
         moment = Moment(before, after, targets, mask, self.state.steps, self.rng, {}, *given)
         for name, value in self.sensors.measure(moment, self.show).items():
             held = self.readings.get(name)

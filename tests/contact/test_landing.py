@@ -2,13 +2,12 @@
 
 import numpy as np
 import pytest
+from bench import MULTIROTORS
 from contact.landings import PLACES, land
 from contact.rig import Rig, random_attitudes
 
-from bulletuav.vehicle.airframes import available_airframes
 
-
-@pytest.mark.parametrize("airframe", available_airframes())
+@pytest.mark.parametrize("airframe", MULTIROTORS)
 def test_flat_landings_stop_at_once(airframe):
     landing = land(airframe, flat=True, worlds=8, hz=120, flown=1.6)
     assert not landing.missed()

@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
+from bench import MULTIROTORS
 from contact.rig import Rig
 from contact.shots import TARGETS, Range
 from contact.trains import push
 
 from bulletuav.dynamics import DYNAMICS, find_dynamics
-from bulletuav.vehicle.airframes import available_airframes
 
 
 @pytest.fixture(scope="module")
@@ -49,7 +49,7 @@ def test_moving_obstacles_are_met_by_all_dynamics(ranges, dynamics, name):
     assert not missed
 
 
-@pytest.mark.parametrize("airframe", available_airframes())
+@pytest.mark.parametrize("airframe", MULTIROTORS)
 def test_no_airframe_passes_the_thinnest_wall(ranges, airframe):
     shots = ranges(airframe, hz=120).shoot("wall of 2 mm")
     assert not shots.missed()

@@ -6,10 +6,10 @@ import xml.etree.ElementTree as ElementTree
 
 import numpy as np
 import pytest
+from bench import MULTIROTORS
 
 from bulletuav import load_airframe, parallel_env
 from bulletuav.engine.drones import ROUND, drawn_files
-from bulletuav.vehicle.airframes import available_airframes
 
 CYLINDER = '<geometry><cylinder radius="0.02313" length="0.002"/></geometry>'
 
@@ -23,7 +23,7 @@ def triangles(path):
     return numbers[:, 1:], numbers[:, 0]
 
 
-@pytest.mark.parametrize("name", available_airframes())
+@pytest.mark.parametrize("name", MULTIROTORS)
 def test_cylinders_that_are_drawn_become_discs_of_their_size(name):
     urdf = load_airframe(name).urdf
     with drawn_files([load_airframe(name)] * 2) as files:

@@ -88,6 +88,9 @@ BAD = [
     ("hover", {"start": ((300.0, 0.0, 5.0),)}, "inside the arena"),
     ("hover", {"max_distance": 0.5}, "starts may be"),
     ("hover", {"gravity": 30.0}, "lifts at most 22 m/s"),
+    ("crossing", {"gravity": 9.7, "airframe": "trainer"}, "which flies on wings, are those at 9.8"),
+    ("hover", {"gravity": 3.71, "airframe": "quadplane"}, "gravity is 3.71 m/s.*'quadplane', whic"),
+    ("hover", {"gravity": 0.0, "action": "rotor", "airframe": "quadplane"}, "leave gravity out"),
     ("hover", {"height": 1990.0}, "the arena reaches"),
     ("hover", {"num_drones": True}, "num_drones is True"),
     ("hover", {"turbulence": "strong"}, "unknown turbulence"),
@@ -358,3 +361,12 @@ def test_surfaces_of_the_ground_are_options(friction):
 def test_an_observation_of_nothing_is_refused():
     with pytest.raises(ValueError, match="observation is empty: name at least one block"):
         EnvSpec("crossing", 1, {"observation": ()})
+
+
+def test_gravity_of_other_places_is_for_multirotors(finned):
+    # Within 1 % on Earth: 9.78 at the equator and 9.83 at the poles
+    for airframe, gravity in (("trainer", 9.78), ("quadplane", 9.83), (finned, 3.71)):
+        sizes = {} if airframe == "trainer" else {"d_safe": 4.0}
+        env = bulletuav.parallel_env("crossing", airframe=airframe, gravity=gravity, **sizes)
+        env.reset(seed=0)
+        env.close()

@@ -7,6 +7,7 @@ import warnings
 import numpy as np
 import placing
 import pytest
+from bench import MULTIROTORS
 from scipy.spatial.transform import Rotation
 
 import bulletuav
@@ -15,7 +16,7 @@ from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.dynamics import DYNAMICS
 from bulletuav.tasks import find_task
 
-AIRFRAMES = bulletuav.available_airframes()
+AIRFRAMES = MULTIROTORS
 MOVE = 0.2  # share of max_speed
 
 
@@ -41,6 +42,7 @@ def manoeuvre(aviary, action):
         "velocity_increment": lambda: ((1.0, 0, 0), lambda s, p: s.velocity[0] > 0.3),
         "acceleration": lambda: ((0.1, 0, 0), lambda s, p: 0.25 < s.velocity[0] < 0.55),
         "heading_speed": lambda: ((0.5, 2 * MOVE - 1, 0), north),
+        "heading_speed_climb": lambda: ((0.5, 2 * MOVE - 1, 0), north),
         "turn_speed": lambda: ((0, 2 * MOVE - 1, 0), east),
         "target_position": lambda: (
             aviary.action.encode(goal),
@@ -101,6 +103,7 @@ def test_every_allowed_combination_flies_its_manoeuvre(airframe, dynamics, contr
         "velocity",
         "velocity_increment",
         "heading_speed",
+        "heading_speed_climb",
         "turn_speed",
         "target_position",
         "discrete",
@@ -193,6 +196,7 @@ ACTION_LEVELS = {
     "velocity_increment": SetpointLevel.VELOCITY,
     "acceleration": SetpointLevel.ACCELERATION,
     "heading_speed": SetpointLevel.VELOCITY,
+    "heading_speed_climb": SetpointLevel.VELOCITY,
     "turn_speed": SetpointLevel.VELOCITY,
     "target_position": SetpointLevel.POSITION,
     "attitude": SetpointLevel.ATTITUDE,

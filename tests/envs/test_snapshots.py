@@ -23,6 +23,7 @@ from bulletuav.sensors.imperfect import Imperfect
 from bulletuav.sensors.imu import Imu
 from bulletuav.sensors.messages import Channel
 from bulletuav.vehicle.airframes import load_airframe
+from bulletuav.vehicle.thermals import as_thermals
 
 UNCERTAIN = {
     "mass": (0.8, 1.2),
@@ -53,6 +54,12 @@ CASES = {
         "take_off": True,
         "sensors": (Imperfect(Imu(), delay=0.3, noise=0.1),),
         "observation": ("velocity", "imu"),
+    },
+    "aeroplanes": {
+        "task": "crossing",
+        "num_drones": 3,
+        "airframe": ("trainer", "quadplane", "hummingbird"),
+        "turbulence": "light",
     },
     "hover": {"controller": "pid", "effects": ("downwash", "voltage"), "num_drones": 2},
     "mec_advanced": {"difficulty": "hard", "num_layouts": 1, "area": 250.0},
@@ -761,6 +768,7 @@ def test_every_option_is_among_the_parts_of_a_snapshot_or_without_effect(task):
     values |= {"observation": other.options.observation, "reward": {"mine": (len, 0.1)}}
     values["bodies"] = as_bodies([Body(Obstacle("sphere", (0.3,)), (0.0, 0.0, 9.0))])
     values["communication"] = Channel(size=3)
+    values["thermals"] = as_thermals({})
     values["events"] = as_events({"time": 1.0, "added_mass": 0.01})
     for field in dataclasses.fields(EnvOptions):
         value = values.get(field.name, ANOTHER)

@@ -73,6 +73,14 @@ def assert_same(one, two, masks):
             },
         ),
         (2, {"start_method": "spawn", "dynamics": "single_integrator"}),
+        (
+            2,
+            {
+                "airframe": ("trainer", "hummingbird", "quadplane"),
+                "dynamics": "rigid_body",
+                "action": "rotor",
+            },
+        ),
     ],
 )
 def test_the_number_of_processes_changes_no_bit(workers, options):

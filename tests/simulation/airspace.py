@@ -13,6 +13,7 @@ from .invariants import require
 KEPT = ("dynamics", "seed", "wind", "turbulence", "effects", "contacts", "physics_hz", "airframe")
 KEPT += ("friction", "restitution", "gravity", "max_speed", "controller", "randomization", "rays")
 KEPT += ("wind_profile", "lidar_frame", "num_beams", "max_range", "lidar_elevations", "sensors")
+KEPT += ("thermals",)
 NO_PID = SetpointLevel.ACCELERATION
 """Level that the controller 'pid' does not take"""
 SIZES = {SetpointLevel.VELOCITY: 3, SetpointLevel.ACCELERATION: 3, SetpointLevel.POSITION: 3}

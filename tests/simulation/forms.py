@@ -166,6 +166,7 @@ def _named(rng: np.random.Generator, kind: Any) -> dict[str, Any]:
         "wind": lambda: tuple(rng.normal(0, 3, 3).tolist()),
         "wind_profile": lambda: pick(rng, (None, "power", "log", ("power", 0.2), ("log", 0.3))),
         "turbulence": lambda: pick(rng, (*TURBULENCE, 3.0)),
+        "thermals": lambda: pick(rng, ({}, {"centres": [(0, 0)]}, {"count": 3, "side": 1500.0})),
         "randomization": lambda: _uncertain(rng, known_uncertainties(sensors)),
         "contacts": lambda: pick(rng, (None, "impulse", "stop", "bullet")),
         "rays": lambda: pick(rng, tuple(RAY_METHODS)),

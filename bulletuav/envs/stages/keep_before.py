@@ -46,6 +46,8 @@ def keep_before(
                 before.quaternion[w, i, k] = swarm.quaternion[w, i, k]
             for k in range(swarm.rotor_speed.shape[2]):
                 before.rotor_speed[w, i, k] = swarm.rotor_speed[w, i, k]
+            for k in range(swarm.deflection.shape[2]):
+                before.deflection[w, i, k] = swarm.deflection[w, i, k]
         for m in range(obstacle.shape[1]):
             for k in range(3):
                 obstacle_before[w, m, k] = obstacle[w, m, k]

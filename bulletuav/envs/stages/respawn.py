@@ -32,6 +32,9 @@ class Respawn(Stage):
             restarts.place(swarm, state.scene, due, state.flown, worlds.rng)
             speed = np.broadcast_to(worlds.hover_speed, swarm.rotor_speed.shape)
             swarm.rotor_speed[due] = 0.0 if worlds.task.takes_off else speed[due]
+            surfaces = np.broadcast_to(worlds.cruise.deflection, swarm.deflection.shape)
+            swarm.deflection[due] = surfaces[due]
+            worlds.start_cruise(due)
             worlds.cascade.memory[due] = 0.0
             state.commanded[due] = swarm.velocity[due]
             worlds.energy.readings()["charge"][due] = 1.0
