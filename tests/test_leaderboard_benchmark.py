@@ -13,6 +13,8 @@ from bulletuav.report.verification import Verifier
 from bulletuav.tasks import find_task
 
 ROOT = Path(__file__).parent.parent
+RANKED = sorted({*bulletuav.list_tasks()} - {"landing_strip"})
+"""Tasks with published rows; no policy of `landing_strip` was trained yet"""
 LEARNED = "hover-ppo-0"
 SETTINGS = """
 version: 1
@@ -238,7 +240,7 @@ def published():
             yield {"task": task, **dict(zip(heads, row, strict=True))}
 
 
-@pytest.mark.parametrize("task", bulletuav.list_tasks())
+@pytest.mark.parametrize("task", RANKED)
 def test_no_published_row_earns_more_for_less_success(task):
     def low_and_high(cell):
         low, high = re.search(r"\[(\S+), (\S+)\]", cell).groups()
@@ -296,10 +298,8 @@ def test_tables_are_not_written_without_recorded_rows(benchmark, tmp_path, monke
 
 
 def test_the_settings_have_all_tasks_and_three_seeds(benchmark):
-    from bulletuav import list_tasks
-
     told = read_settings(ROOT / "benchmarks" / "leaderboard.yaml", "settings")
-    assert sorted(told["tasks"]) == sorted(list_tasks())
+    assert sorted(told["tasks"]) == RANKED
     rows = benchmark.list_rows(told)
     assert len({row.name for row in rows}) == len(rows)
     for name, one in told["algorithms"].items():

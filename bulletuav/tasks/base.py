@@ -23,6 +23,7 @@ from bulletuav.tasks.parts.base import Part
 from bulletuav.tasks.parts.loads import Loads
 from bulletuav.tasks.parts.restarts import Restarts
 from bulletuav.tasks.parts.safety import Safety
+from bulletuav.vehicle.airframe import Airframe
 from bulletuav.vehicle.swarm import GROUND
 
 DEFAULT_SHOWS: Mapping[str, str] = MappingProxyType(
@@ -115,6 +116,8 @@ class Task(ABC, Generic[ConfigT]):
             absent drones as those that are not in `Frame.alive`.
         needs_cables: Whether the task flies only in dynamics with cables, "rigid_body", as `loads`
             need them.
+        needs_hover: Whether all drones have to be able to hover. If False, aircraft that cannot
+            hover may fly the task, and their episodes start in flight at cruise speed.
         is_game: Whether teams play against each other, so that safety is part of the game.
         places: Positions that users may set: "start", "goal".
         rebound: Coefficient of restitution at the arena's bounds: the fraction of the normal speed
@@ -158,6 +161,7 @@ class Task(ABC, Generic[ConfigT]):
     shirkers: ClassVar[tuple[str, ...]] = ()
     has_absent: ClassVar[bool] = False
     needs_cables: ClassVar[bool] = False
+    needs_hover: ClassVar[bool] = True
     is_game: ClassVar[bool] = False
     places: ClassVar[tuple[str, ...]] = ()
     has_goals: ClassVar[bool] = True
@@ -234,6 +238,21 @@ class Task(ABC, Generic[ConfigT]):
             if getattr(type(part), method) is not getattr(Part, method):
                 return True
         return getattr(type(self), method) is not getattr(Task, method)
+
+    @classmethod
+    def forward_options(
+        cls, airframes: Sequence[Airframe], values: Mapping[str, Any], kept: Mapping[str, Any]
+    ) -> Mapping[str, Any]:
+        """Return the options that fit the task to aircraft that cannot hover, none by default.
+
+        They replace those of the defaults and the difficulty, and should fit those that are kept.
+
+        Args:
+            airframes: Airframes of these aircraft.
+            values: All options by name.
+            kept: Options that stay, by name: those that the user gives and those of a preset.
+        """
+        return {}
 
     def bind(self, readings: frozenset[str], extra: Mapping[str, tuple[Any, float]]) -> Binding:
         """Bind the arguments of all ingredients to their sources. Called once.

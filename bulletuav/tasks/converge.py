@@ -1,7 +1,9 @@
 """Task `converge`: drones on a circle fly to their antipodes, all through the centre."""
 
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -18,6 +20,13 @@ from bulletuav.tasks.parts.airspace import (
     min_start_distance,
 )
 from bulletuav.tasks.parts.difficulties import AIRSPACE_DIFFICULTIES
+from bulletuav.tasks.parts.forward_flight import (
+    TURN_MARGIN,
+    forward_sizes,
+    kept_number,
+    tightest_turn,
+)
+from bulletuav.vehicle.airframe import Airframe
 
 
 @dataclass(frozen=True)
@@ -69,6 +78,7 @@ class Converge(GoalFlight[ConvergeConfig]):
 
     name = "converge"
     has_absent = True
+    needs_hover = False
     version = 2
     shirkers = (*GOAL_FLIGHT_SHIRKERS, "pass_closely")
     difficulties: ClassVar = {
@@ -100,6 +110,17 @@ class Converge(GoalFlight[ConvergeConfig]):
         self.arena_low, self.arena_high = circle_arena(config, context, self._radius)
         circles = -(-context.num_drones // self._on_circle)
         self.arena_high[2] += (circles - 1) * self._rise
+
+    @classmethod
+    def forward_options(
+        cls, airframes: Sequence[Airframe], values: Mapping[str, Any], kept: Mapping[str, Any]
+    ) -> Mapping[str, Any]:
+        """Return a circle with a turn radius or more between starts; see the base class."""
+        radius = tightest_turn(airframes)
+        room = int(values["num_drones"]) * radius / (2 * math.pi)
+        usual = math.ceil(max(2 * TURN_MARGIN * radius, room))
+        circle = kept_number(kept, "radius", usual)
+        return {"radius": circle, **forward_sizes(airframes, values, 2 * circle)}
 
     def _stack_circles(self, clear: float) -> None:
         """Set radius, drones and vertical distance of circles if one circle is too small.

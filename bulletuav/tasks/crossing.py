@@ -1,7 +1,9 @@
 """Task `crossing`: two teams cross one airspace at right angles."""
 
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -21,7 +23,14 @@ from bulletuav.tasks.parts.airspace import (
     require_margin,
 )
 from bulletuav.tasks.parts.difficulties import AIRSPACE_DIFFICULTIES
+from bulletuav.tasks.parts.forward_flight import (
+    TURN_MARGIN,
+    forward_sizes,
+    kept_number,
+    tightest_turn,
+)
 from bulletuav.tasks.parts.teams import team_sizes
+from bulletuav.vehicle.airframe import Airframe
 
 MAX_RANKS = 100
 """Maximum number of ranks of a team's formation"""
@@ -49,6 +58,21 @@ class CrossingConfig(AirspaceOptions, FlightConfig):
     lanes: int = field(default=10, metadata={"most": 10_000})
     lane_spacing: float = 15.0
     teams: tuple[int, int] | None = None
+
+
+def _num_lanes(lanes: int, num_drones: int, largest: int, spacing: float) -> int:
+    """Return the number of columns of a formation, more than wanted if it would be too deep.
+
+    Args:
+        lanes: Number that is wanted.
+        num_drones: Number of all drones.
+        largest: Number of drones of the larger team.
+        spacing: Distance between ranks, m.
+    """
+    most = MAX_RANKS
+    if num_drones > LARGE_SWARM and most * spacing > MAX_DEPTH:
+        most = max(1, int(MAX_DEPTH / spacing))
+    return max(lanes, -(-largest // most))
 
 
 @register("task")
@@ -89,6 +113,7 @@ class Crossing(GoalFlight[CrossingConfig]):
 
     name = "crossing"
     has_absent = True
+    needs_hover = False
     version = 2
     shirkers = (*GOAL_FLIGHT_SHIRKERS, "pass_closely")
     team_names = ("north", "east")
@@ -125,10 +150,7 @@ class Crossing(GoalFlight[CrossingConfig]):
         self._num_north, east = team_sizes(config.teams, drones, usual)
         self.team[self._num_north :] = 1
         largest = max(self._num_north, east)
-        most = MAX_RANKS
-        if drones > LARGE_SWARM:
-            most = max(1, min(MAX_RANKS, int(MAX_DEPTH / config.lane_spacing)))
-        self._lanes = max(config.lanes, -(-largest // most))
+        self._lanes = _num_lanes(config.lanes, drones, largest, config.lane_spacing)
         self._half_length = config.half_length
         if self._lanes > config.lanes or drones > LARGE_SWARM:
             needed = min(largest, self._lanes) * config.lane_spacing / 2 + config.jitter + clear
@@ -154,6 +176,22 @@ class Crossing(GoalFlight[CrossingConfig]):
         half_side = max(self._half_length + depth, width) + config.margin
         self.arena_low = np.array([-half_side, -half_side, 0.0])
         self.arena_high = np.array([half_side, half_side, config.altitude + rise + config.margin])
+
+    @classmethod
+    def forward_options(
+        cls, airframes: Sequence[Airframe], values: Mapping[str, Any], kept: Mapping[str, Any]
+    ) -> Mapping[str, Any]:
+        """Return lanes as wide as the tightest turn; see the base class."""
+        radius = tightest_turn(airframes)
+        spacing = kept_number(kept, "lane_spacing", math.ceil(2 * radius))
+        drones = int(values["num_drones"])
+        largest = max(team_sizes(kept.get("teams"), drones, ((drones + 1) // 2, drones // 2)))
+        lanes = int(kept_number(kept, "lanes", CrossingConfig.lanes))
+        lanes = _num_lanes(lanes, drones, largest, spacing)
+        width = min(largest, lanes) * spacing / 2
+        half_length = kept_number(kept, "half_length", math.ceil(width + TURN_MARGIN * radius))
+        own = {"lane_spacing": spacing, "half_length": half_length}
+        return {**own, **forward_sizes(airframes, values, 2 * half_length)}
 
     def _places(self) -> tuple[np.ndarray, np.ndarray]:
         """Return starts and goals, (N, 3) each, m, without altitudes and jitter."""

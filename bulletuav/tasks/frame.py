@@ -180,6 +180,8 @@ class TaskContext:
         beams: Beams of the range finder.
         max_range: Maximum range of the range finder, m.
         standing_height: Height of each drone's centre of mass when it stands on the ground, m.
+        turn_radius: Radius of the tightest turn at cruise speed of drones that cannot hover, m; 0
+            if all can.
     """
 
     num_drones: int
@@ -191,6 +193,7 @@ class TaskContext:
     beams: tuple[Beam, ...]
     max_range: float
     standing_height: tuple[float, ...]
+    turn_radius: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -349,6 +352,7 @@ FIELDS: Mapping[str, tuple[str, Reader]] = MappingProxyType(
         "quaternion": ("body to world", attrgetter("after.quaternion")),
         "rates": ("rad/s, body axes", attrgetter("after.rates")),
         "rotor_speed": ("rad/s", attrgetter("after.rotor_speed")),
+        "deflection": ("rad, of control surfaces", attrgetter("after.deflection")),
         "position_before": ("m, before the decision", attrgetter("before.position")),
         "velocity_before": ("m/s, before the decision", attrgetter("before.velocity")),
         "quaternion_before": ("before the decision", attrgetter("before.quaternion")),

@@ -1,5 +1,7 @@
 """Task `free_flight`: drones fly from random starts, in random directions, to random goals."""
 
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
@@ -7,12 +9,21 @@ from bulletuav.registry import register
 from bulletuav.tasks.frame import TaskContext
 from bulletuav.tasks.goal_flight import GOAL_FLIGHT_SHIRKERS, FlightConfig, GoalFlight
 from bulletuav.tasks.parts.difficulties import AIRSPACE_DIFFICULTIES
+from bulletuav.tasks.parts.forward_flight import (
+    TURN_MARGIN,
+    forward_sizes,
+    kept_number,
+    tightest_turn,
+)
 from bulletuav.tasks.parts.free_space import FreeSpace, FreeSpaceOptions
 from bulletuav.tasks.parts.presets import UAVCONFLICT
 from bulletuav.tasks.parts.restarts import Restarts
+from bulletuav.vehicle.airframe import Airframe
 
 DENSE: dict[str, Any] = {"altitude_spread": 4.0, "start_speed": (0.0, 5.0)}
 """Options with which half of few drones encounter another drone"""
+MIN_SIDE = 2.5
+"""Minimum side of the square in minimum distances of goals, for aircraft that cannot hover"""
 
 
 @dataclass(frozen=True)
@@ -84,6 +95,7 @@ class FreeFlight(GoalFlight[FreeFlightConfig]):
 
     name = "free_flight"
     has_absent = True
+    needs_hover = False
     version = 2
     shirkers = (*GOAL_FLIGHT_SHIRKERS, "pass_closely")
     difficulties: ClassVar = {
@@ -105,6 +117,18 @@ class FreeFlight(GoalFlight[FreeFlightConfig]):
             "num_moving": 0,
         }
     }
+
+    @classmethod
+    def forward_options(
+        cls, airframes: Sequence[Airframe], values: Mapping[str, Any], kept: Mapping[str, Any]
+    ) -> Mapping[str, Any]:
+        """Return a square whose area grows with the number of drones; see the base class."""
+        radius = tightest_turn(airframes)
+        room = 4 * radius * max(2.0, math.sqrt(int(values["num_drones"])))
+        leg = kept_number(kept, "leg", math.ceil(TURN_MARGIN * radius))
+        side = kept_number(kept, "area", math.ceil(max(room, MIN_SIDE * leg)))
+        own = {"area": side, "leg": min(leg, side / MIN_SIDE)}
+        return {**own, **forward_sizes(airframes, values, math.sqrt(2.0) * side)}
 
     def __init__(self, config: FreeFlightConfig, context: TaskContext) -> None:
         """Set up the free space.

@@ -114,8 +114,21 @@ class FlightConfig(ObstacleOptions, TaskConfig):
             raise ValueError(
                 f"warning_zone is {self.warning_zone:g}: more than 1, beyond d_safe, is needed"
             )
+        if context.turn_radius:
+            self._check_forward_flight()
         if self.discount > 1:
             raise ValueError(f"discount is {self.discount:g}: from 0 to 1 is needed")
+
+    def _check_forward_flight(self) -> None:
+        """Raise ValueError for options that aircraft which cannot hover cannot fly."""
+        impossible = {"at_goal": ("land", "hold"), "boundary": ("soft", "hard")}
+        for name, values in impossible.items():
+            value = getattr(self, name)
+            if value in values:
+                raise ValueError(
+                    f"{name} is {value!r}, and an airframe of the fleet cannot hover: leave {name} "
+                    f"out"
+                )
 
 
 FlightConfigT = TypeVar("FlightConfigT", bound=FlightConfig)

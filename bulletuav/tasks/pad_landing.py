@@ -19,6 +19,7 @@ from bulletuav.tasks.ingredients import end, reward
 from bulletuav.tasks.parts.base import Rngs
 from bulletuav.tasks.parts.pads import PAD_RADIUS, PAD_THICKNESS, STABLE_TIME, PadMotion, Pads
 from bulletuav.tasks.parts.safety import Safety
+from bulletuav.tasks.parts.waiting import decisions_waited
 from bulletuav.vehicle.swarm import FIRST_OBSTACLE
 
 START_GAP = 0.12
@@ -130,10 +131,8 @@ def waiting(
     period: float,
 ) -> float:
     """1 per decision until a pad is claimed; on other ends 1 per remaining decision, too."""
-    if has_pad > 0.0:
-        return 0.0
     is_lost = collision or outside or depleted
-    return 1.0 + ((duration - time) / period if is_lost else 0.0)
+    return decisions_waited(has_pad > 0.0, is_lost, time, duration, period)
 
 
 @register("task")

@@ -1,6 +1,7 @@
 """Task `pursuit`: drones share a circular track at speeds of their own, and have to overtake."""
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -8,6 +9,7 @@ import numpy as np
 
 from bulletuav.compiled.functions import cos, hypot, sin
 from bulletuav.compiled.kernel import kernel
+from bulletuav.errors import as_sequence, finite
 from bulletuav.registry import register
 from bulletuav.tasks.frame import Frame, Scene, Spawn, TaskContext
 from bulletuav.tasks.goal_flight import REWARD_WEIGHTS, TRAINING_WEIGHTS, FlightConfig, GoalFlight
@@ -20,12 +22,25 @@ from bulletuav.tasks.parts.airspace import (
 )
 from bulletuav.tasks.parts.base import Rngs
 from bulletuav.tasks.parts.difficulties import UNCERTAINTY
+from bulletuav.tasks.parts.forward_flight import (
+    TURN_MARGIN,
+    forward_sizes,
+    kept_number,
+    tightest_turn,
+)
 from bulletuav.tasks.parts.presets import UAVCONFLICT
+from bulletuav.vehicle.airframe import Airframe
+from bulletuav.vehicle.envelope import find_envelope
 
 PLATOON = 10
 """Number of drones in a platoon, in which the faster drones start behind the slower ones"""
 MAX_SLACK = 0.1
 """Maximum `slack` as a fraction of the track: drones average 0.9 of their cruising speed or more"""
+SPEED_RESERVE = 1.25
+"""Ratio of the slowest cruising speed of aircraft that cannot hover to their minimum speed, and of
+their maximum speed to the fastest one"""
+MIN_SPEED = 0.1
+"""Minimum cruising speed with aircraft that cannot hover, m/s"""
 CLIMB_SPEED_FRACTION = 0.5
 """Speed of the climb for which goals wait, as a fraction of max_speed"""
 
@@ -130,6 +145,7 @@ class Pursuit(GoalFlight[PursuitConfig]):
 
     version = 2
     name = "pursuit"
+    needs_hover = False
     places: ClassVar[tuple[str, ...]] = ("start",)
     observation = ("position", "velocity", "goal", "goal_velocity", "neighbours", "obstacles")
     reward: ClassVar = {
@@ -212,6 +228,27 @@ class Pursuit(GoalFlight[PursuitConfig]):
                 f"slack is {config.slack:g} m: more than {nearest:.3g} m, by which jitter offsets "
                 f"starts, and up to {farthest:.3g} m, {MAX_SLACK:g} of the track, is needed"
             )
+
+    @classmethod
+    def forward_options(
+        cls, airframes: Sequence[Airframe], values: Mapping[str, Any], kept: Mapping[str, Any]
+    ) -> Mapping[str, Any]:
+        """Return a track of gentle turns, flown at speeds of the envelope; see the base class."""
+        envelopes = [find_envelope(one) for one in airframes]
+        slowest = SPEED_RESERVE * max(one.min_speed for one in envelopes)
+        fastest = min(values["max_speed"], *(one.max_speed for one in envelopes)) / SPEED_RESERVE
+        turn = math.ceil(tightest_turn(airframes))
+        spacing = kept_number(kept, "spacing", turn)
+        room = int(values["num_drones"]) * spacing / (2 * math.pi)
+        radius = kept_number(kept, "radius", math.ceil(max(TURN_MARGIN * turn, room)))
+        laps = 2 * math.pi * radius * kept_number(values, "laps", PursuitConfig.laps)
+        speeds = as_sequence("speed", kept.get("speed", (slowest, fastest)), 2)
+        sizes = forward_sizes(
+            airframes, values, laps, min(finite("speed", one, MIN_SPEED) for one in speeds)
+        )
+        sizes.pop("goal_radius")  # the slack decides
+        own = {"radius": radius, "spacing": spacing, "speed": (slowest, fastest)}
+        return {**own, **sizes}
 
     def _check_spacing(self) -> None:
         """Check that the queue fits on the circle, and that its drones start without conflict."""

@@ -30,6 +30,7 @@ from bulletuav.tasks.parts.loads import (
     Loads,
 )
 from bulletuav.tasks.parts.safety import Safety
+from bulletuav.tasks.parts.waiting import decisions_waited
 from bulletuav.vehicle.load import make_load
 
 PARCEL = 0.25
@@ -130,9 +131,8 @@ def waiting(
     delivered: float, failed: float, depleted: bool, time: float, duration: float, period: float
 ) -> float:
     """1 per decision until the load is released; on other ends 1 per remaining decision, too."""
-    if delivered > 0.0:
-        return 0.0
-    return 1.0 + ((duration - time) / period if failed > 0.0 or depleted else 0.0)
+    is_lost = failed > 0.0 or depleted
+    return decisions_waited(delivered > 0.0, is_lost, time, duration, period)
 
 
 @reward

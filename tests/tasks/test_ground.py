@@ -31,8 +31,9 @@ def fly(aviary, policy, decisions=500):
     return ever
 
 
-@pytest.mark.parametrize("task", bulletuav.list_tasks())
+@pytest.mark.parametrize("task", [one for one in bulletuav.list_tasks() if one != "landing_strip"])
 def test_every_task_can_start_on_the_ground(task):
+    # In `landing_strip` aeroplanes start in flight
     options = {"action": "velocity", "randomization": {}, **POINTS}
     if find_task(task).needs_cables:
         options["dynamics"] = "rigid_body"

@@ -10,6 +10,7 @@ from bulletuav.envs.spaces import widest_action_space
 from bulletuav.sensors.base import Image, Label
 from bulletuav.sensors.suite import known_sensors, reading_labels
 from bulletuav.tasks.ingredients import block
+from bulletuav.tasks.observations.motion import goal_ahead
 from bulletuav.tasks.observations.observer import known_observations
 
 CALM = {"dynamics": "point_mass", "randomization": {}}
@@ -263,3 +264,21 @@ def test_goal_and_upward_direction_in_body_axes():
     np.testing.assert_allclose(to_world.apply(row[:3]), row[6:9], atol=1e-5)
     np.testing.assert_allclose(to_world.apply(row[3:6]), (0, 0, 1), atol=1e-5)
     aviary.close()
+
+
+def test_the_goal_ahead_is_in_level_axes_of_the_heading():
+    blocks = ("goal_ahead", "goal_offset", "attitude")
+    aviary = bulletuav.Aviary("hover", difficulty="hard", observation=blocks, randomization={})
+    row = aviary.reset(seeds=0)[0, 0]
+    yaw, pitch, roll = Rotation.from_quat(row[6:]).as_euler("ZYX")
+    assert min(abs(yaw), abs(pitch) + abs(roll)) > 0.05  # it is turned and tilted
+    expected = Rotation.from_euler("Z", -yaw).apply(row[3:6])
+    np.testing.assert_allclose(row[:3], expected, atol=1e-4)
+    aviary.close()
+
+
+def test_the_goal_ahead_by_hand():
+    """A goal 3 m to the east, 4 m to the north and 2 m above, of a drone that heads north."""
+    north = (0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5))
+    found = goal_ahead(north, (4.0, 6.0, 12.0), (1.0, 2.0, 10.0))
+    np.testing.assert_allclose(found, (4.0, -3.0, 2.0), atol=1e-12)

@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from bulletuav.compiled.functions import cos, sin
 from bulletuav.control.actions import Action
-from bulletuav.geometry.rotation import Quat4, Vec3, to_body
+from bulletuav.geometry.rotation import Quat4, Vec3, heading, to_body
 from bulletuav.registry import register
 from bulletuav.sensors.base import Label, vector_labels
 from bulletuav.sensors.imu import MAX_BODY_RATE
@@ -88,6 +89,25 @@ def body_goal_offset(quaternion: Quat4, goal: Vec3, known_position: Vec3) -> Vec
     """Vector from the drone to its goal, body axes."""
     x, y, z = known_position
     return to_body(quaternion, (goal[0] - x, goal[1] - y, goal[2] - z))
+
+
+def _goal_ahead_labels(task: Any) -> tuple[Label, ...]:
+    size = task.arena_high - task.arena_low
+    level = float(np.linalg.norm(size[:2]))
+    return vector_labels("goal ahead", "m", (-level, -level, -size[2]), (level, level, size[2]))
+
+
+@register("observation")
+@block(_goal_ahead_labels)
+def goal_ahead(quaternion: Quat4, goal: Vec3, known_position: Vec3) -> Vec3:
+    """Vector from the drone to its goal: along its heading, to the left of it, and up.
+
+    The axes are level, so that it does not change while an aircraft banks.
+    """
+    yaw = heading(quaternion)
+    c, s = cos(yaw), sin(yaw)
+    x, y = goal[0] - known_position[0], goal[1] - known_position[1]
+    return c * x + s * y, c * y - s * x, goal[2] - known_position[2]
 
 
 @register("observation")
