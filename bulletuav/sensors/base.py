@@ -140,6 +140,8 @@ class Moment(NamedTuple):
         action: (W, N, A) actions of the decision; without numbers in an airspace.
         gravity: (W, N) gravitational acceleration that acts on the drones, m/s^2; None for that of
             the setup.
+        wind: (W, N, 3) velocity of the air at the drones, world axes, m/s; None if no sensor needs
+            it.
     """
 
     before: Swarm
@@ -151,6 +153,7 @@ class Moment(NamedTuple):
     readings: dict[str, np.ndarray]
     action: np.ndarray
     gravity: np.ndarray | None = None
+    wind: np.ndarray | None = None
 
     @property
     def position(self) -> np.ndarray:
@@ -215,6 +218,7 @@ class Sensor(ABC):
         uncertain: Uncertain parameters; each is an attribute, (W, N), or (W,) if drawn per world.
         prefix: Prefix of the parameter names in option `randomization`.
         needs_bodies: Whether the engine's bodies must be at the drones' poses before a measurement.
+        needs_wind: Whether the sensor reads the wind of the moment.
         always_if_uncertain: Whether the sensor runs unobserved if a parameter is uncertain.
     """
 
@@ -224,6 +228,7 @@ class Sensor(ABC):
     uncertain: ClassVar[Mapping[str, Uncertain]] = MappingProxyType({})
     prefix: ClassVar[str]
     needs_bodies: bool = False
+    needs_wind: bool = False
     always_if_uncertain: ClassVar[bool] = False
 
     setup: SensorSetup

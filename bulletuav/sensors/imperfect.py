@@ -82,6 +82,7 @@ class Imperfect(Sensor):
         super().attach(setup, engine)
         self.sensor = self.sensor.attached(setup, engine)
         self.needs_bodies = self.sensor.needs_bodies
+        self.needs_wind = self.sensor.needs_wind
         self._images = {
             name: one for name, one in self.labels(setup).items() if isinstance(one, Image)
         }

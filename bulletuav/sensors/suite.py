@@ -35,6 +35,7 @@ ORDER = (
     "optical_flow",
     "drone_sight",
     "detector",
+    "airspeed",
 )
 """Order in which the package's sensors measure and draw random numbers; others follow"""
 
@@ -150,6 +151,11 @@ class SensorSuite:
             # The first measurement of each sensor is checked against its labels
             self._unchecked.add(name)
         self._last = next(reversed(self.sensors.values()), None)
+
+    @property
+    def needs_wind(self) -> bool:
+        """Whether any sensor reads the wind."""
+        return any(sensor.needs_wind for sensor in self.sensors.values())
 
     @property
     def keep_others(self) -> bool:

@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 import sensing
+from bench import MULTIROTORS
 from scipy.spatial.transform import Rotation
 from sensing import swarm_at
 
@@ -120,7 +121,7 @@ def test_what_is_at_the_end_of_the_range_is_seen_and_beyond_it_is_not(make_world
 
 
 @pytest.mark.parametrize("tilt", [0, 30])
-@pytest.mark.parametrize("airframe", bulletuav.available_airframes())
+@pytest.mark.parametrize("airframe", MULTIROTORS)
 def test_the_shape_of_another_drone_is_seen(make_world, airframe, tilt):
     """A disc of radius r and half-height h ahead, tilted towards the beam.
 

@@ -20,7 +20,7 @@ def at(position):
     still = np.zeros(position.shape)
     upright = np.zeros((*shape, 4))
     upright[..., 3] = 1
-    return Swarm(position, upright, still, still, np.zeros((*shape, 4)))
+    return Swarm(position, upright, still, still, np.zeros((*shape, 4)), np.zeros((*shape, 0)))
 
 
 def fly(channel, position, decisions, message=None, mask=None, neighbours=None, discrete=False):

@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 import sensing
+from bench import MULTIROTORS
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
@@ -359,7 +360,7 @@ def test_overlap_is_negative(make_world):
     assert nearest(make_world((BLOCK,)), (-5.2, 0, 4)) == pytest.approx(0.2 - RADIUS, abs=1e-6)
 
 
-@pytest.mark.parametrize("airframe", bulletuav.available_airframes())
+@pytest.mark.parametrize("airframe", MULTIROTORS)
 def test_distance_of_a_tilted_shape(make_world, airframe):
     """A disc of radius r and half-height h, turned by 30 degrees and rolled by 30.
 
