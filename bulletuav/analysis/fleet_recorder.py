@@ -11,7 +11,7 @@ from bulletuav.analysis.airspace_recorder import record_instant
 from bulletuav.analysis.markers import MarkerLog
 from bulletuav.analysis.recorded import Recording
 from bulletuav.analysis.recorder import stack_contacts
-from bulletuav.analysis.scene import PARTS
+from bulletuav.analysis.scene import PARTS, measure_airspeed
 from bulletuav.conflict.separation import measure_conflict
 from bulletuav.engine.parking import PARKING_HEIGHT
 from bulletuav.parsing import parse_json
@@ -35,6 +35,7 @@ class _Row(NamedTuple):
         turn: (K, 4) attitudes of these.
         separation: (N,) distance to the nearest other drone, m.
         contacts: Contacts since the previous row.
+        airspeed: (N,) speed through the air, m/s; (0,) in a fleet without wings.
     """
 
     step: int
@@ -43,6 +44,7 @@ class _Row(NamedTuple):
     turn: np.ndarray
     separation: np.ndarray
     contacts: Contacts
+    airspeed: np.ndarray
 
 
 class FleetRecorder:
@@ -111,6 +113,9 @@ class FleetRecorder:
         swarm = state.swarm
         # Bodies that users add are the last pieces of the scenery, after the obstacles
         first = scenery.place.shape[1] - len(scenery.bodies.owner)
+        airspeed, time = np.zeros(0), self._steps * self._fleet.airspace.period
+        if swarm.deflection.shape[-1]:
+            airspeed = measure_airspeed(world, swarm, time)
         conflict = measure_conflict(swarm.position, swarm.position, state.alive, 0.0, 0.0)
         return _Row(
             self._steps,
@@ -119,6 +124,7 @@ class FleetRecorder:
             np.concatenate([state.obstacle_turn[0], scenery.quaternion[0, first:]]),
             conflict.separation[0].copy(),
             self._contacts,
+            airspeed,
         )
 
     @property
@@ -154,6 +160,9 @@ class FleetRecorder:
             "rotor_speed": swarm.rotor_speed,
             "obstacle_quaternion": turn,
         }
+        if swarm.deflection.shape[-1]:
+            scene["deflection"] = swarm.deflection
+            scene["airspeed"] = _stack([row.airspeed for row in rows])
         if "building_colour" in now.scene:
             scene["building_colour"] = now.scene["building_colour"]
         return dataclasses.replace(

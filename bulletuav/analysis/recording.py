@@ -59,6 +59,8 @@ SHAPES = {
     "target": "R U 3",
     "seen": "R U",
     "scene/rotor_speed": "R N M",
+    "scene/deflection": "R N F",
+    "scene/airspeed": "R N",
     "scene/obstacle_quaternion": "R K 4",
     "scene/link": "L 3",
     "scene/cable": "R E 2 3",

@@ -6,6 +6,8 @@ the loads and the pieces of added bodies:
 - `about`: JSON text with the task's name, d_safe (m), units, airframes, obstacles, charging pads,
   range finder, and labels of readings.
 - `rotor_speed`: (T+1, N, R) rad/s, in the order of each airframe's rotors.
+- `deflection`: (T+1, N, S) rad, of control surfaces; only if any drone has wings.
+- `airspeed`: (T+1, N) speed through the air, m/s; only if any drone has wings.
 - `obstacle_quaternion`: (T+1, K, 4) from the obstacle's axes to the world's.
 - `link`: (L, 3) row of the states, drone, and target, for each drone that serves a target.
 - `hull`: (V, 3) vertices of the city's pieces that are not boxes, m, one piece after the other.
@@ -59,6 +61,8 @@ UNITS = {
     "info/impulse": "N s",
     "info/power": "W",
     "scene/rotor_speed": "rad/s",
+    "scene/deflection": "rad",
+    "scene/airspeed": "m/s",
     "scene/hull": "m",
 }
 """Units of a recording's arrays, by their names in files; readings have labels instead"""
@@ -136,6 +140,8 @@ class SceneLog:
         self._loads = [] if loads is None else [(one.shape, LOAD_COLOUR) for one in loads.loads]
         self._pads = [] if pads is None else pads[0].tolist()
         self._rotor_speed: list[np.ndarray] = []
+        self._deflection: list[np.ndarray] = []
+        self._airspeed: list[np.ndarray] = []
         self._turns: list[np.ndarray] = []
         self._bodies: list[tuple[np.ndarray, np.ndarray]] = []
         self._links: list[np.ndarray] = []
@@ -147,6 +153,10 @@ class SceneLog:
         """Record one row."""
         aviary = self._aviary
         self._rotor_speed.append(aviary.swarm.rotor_speed[0].copy())
+        self._deflection.append(aviary.swarm.deflection[0].copy())
+        if self._has_wings:
+            time = aviary.steps[0] / aviary.options.decision_hz
+            self._airspeed.append(measure_airspeed(aviary.worlds, aviary.swarm, time))
         self._turns.append(aviary.scene.obstacle_quaternion[0].copy())
         scenery = aviary.worlds.engine.scenery
         pieces = slice(scenery.place.shape[1] - len(scenery.bodies.owner), None)
@@ -167,8 +177,14 @@ class SceneLog:
     def discard_history(self) -> None:
         """Discard all rows but the last."""
         del self._bodies[:-1], self._cables[:-1]
-        for kept in (self._rotor_speed, self._turns, self._links, *self._readings.values()):
+        state = (self._rotor_speed, self._deflection, self._airspeed, self._turns, self._links)
+        for kept in (*state, *self._readings.values()):
             del kept[:-1]
+
+    @property
+    def _has_wings(self) -> bool:
+        """Whether any drone has wings."""
+        return bool(self._aviary.swarm.deflection.shape[-1])
 
     @property
     def body_radius(self) -> np.ndarray:
@@ -219,6 +235,9 @@ class SceneLog:
         hulls = solids.hulls
         # Only where there are some, so that recordings without them stay equal
         more = {"cable": cables} if cables.size else {}
+        if self._has_wings:
+            more["deflection"] = np.array(self._deflection)
+            more["airspeed"] = np.array(self._airspeed)
         if solids.colours is not None:
             more["building_colour"] = solids.colours
         return {
@@ -269,12 +288,32 @@ class SceneLog:
         }
 
 
+def measure_airspeed(worlds: Any, swarm: Swarm, time: float) -> np.ndarray:
+    """Return the speed of the drones of world 0 through the air, (N,), m/s.
+
+    Args:
+        worlds: Components of the worlds, with the wind.
+        swarm: State of the drones.
+        time: Time of world 0, s.
+    """
+    wind = worlds.wind.sample(swarm.position[:1], np.array([time]))
+    speed: np.ndarray = np.linalg.norm(swarm.velocity[0] - wind[0], axis=-1)
+    return speed
+
+
 def _airframe(airframe: Airframe) -> dict[str, Any]:
     """Describe the appearance of an airframe."""
+    wings = {
+        "forward": airframe.forward_rotors,
+        "heights": airframe.rotor_heights,
+        "surfaces": [surface.name for surface in airframe.surfaces],
+    }
     return {
         "name": airframe.name,
         "radius": airframe.collision_radius,
         "rotors": airframe.rotors,
+        # Only where there are some, so that recordings without them stay equal
+        **(wings if airframe.wings else {}),
         "propeller_radius": airframe.propeller_radius,
         "parts": [
             {

@@ -218,7 +218,7 @@ def _add_rows(payload: Payload, recording: Recording, about: dict[str, Any]) -> 
     payload.add("end", recording.alive[:-1].sum(axis=0), "u4")
     payload.add_series("position", recording.position)
     payload.add_series("quaternion", unwrap_quaternions(recording.quaternion))
-    payload.add_series("rotors", recording.scene["rotor_speed"].mean(axis=-1))
+    _add_rotors(payload, recording, about)
     payload.add_series("goal", recording.goal)
     payload.add_series("obstacle", recording.obstacle)
     turns = unwrap_quaternions(recording.scene["obstacle_quaternion"])
@@ -235,6 +235,26 @@ def _add_rows(payload: Payload, recording: Recording, about: dict[str, Any]) -> 
         if values.dtype.kind != "b":
             payload.add_series(f"{READING}{name}", values)
     return add_charts(payload, recording, about)
+
+
+def _add_rotors(payload: Payload, recording: Recording, about: dict[str, Any]) -> None:
+    """Add the mean speeds of rotors along z and along x, and what only aircraft with wings have."""
+    speed = recording.scene["rotor_speed"]
+    if "deflection" not in recording.scene:
+        payload.add_series("rotors", speed.mean(axis=-1))
+        return
+    lifting, forward = np.zeros((2, *speed.shape[:2]))
+    for k, kind in enumerate(about["airframe_of"][: speed.shape[1]]):
+        airframe = about["airframes"][kind]
+        ahead = list(airframe.get("forward", ()))
+        others = [r for r in range(len(airframe["rotors"])) if r not in ahead]
+        for mean, numbers in ((lifting, others), (forward, ahead)):
+            if numbers:
+                mean[:, k] = speed[:, k, numbers].mean(axis=-1)
+    payload.add_series("rotors", lifting)
+    payload.add_series("forward rotors", forward)
+    payload.add_series("deflection", recording.scene["deflection"])
+    payload.add_series("airspeed", recording.scene["airspeed"])
 
 
 def _colours(count: int) -> list[str]:

@@ -18,8 +18,8 @@ def add_charts(payload: Payload, recording: Recording, about: dict[str, Any]) ->
     """Add the series of all charts to a payload.
 
     Args:
-        payload: The payload. It must contain the series "position" and "rotors", and those of
-            readings by their names in files.
+        payload: The payload. It must contain the series "position", "rotors" and those of aircraft
+            with wings, and those of readings by their names in files.
         recording: The episode.
         about: Constant part of the recording's scene.
 
@@ -40,6 +40,8 @@ def add_charts(payload: Payload, recording: Recording, about: dict[str, Any]) ->
     # Point-mass dynamics have no rotors, only zeros
     if recording.scene["rotor_speed"].any():
         charts.append(_chart("Flight", "rotors, mean", "rad/s", [""], "rotors", 1, [0]))
+    if "deflection" in recording.scene:
+        charts += _wing_charts(recording, about)
     # Skip flags and readings with too many numbers
     for name, labels in about["readings"].items():
         if recording.reading[name].dtype.kind == "b" or len(labels) > MAX_LINES:
@@ -52,6 +54,17 @@ def add_charts(payload: Payload, recording: Recording, about: dict[str, Any]) ->
             charts.append(_chart("Sensors", name, unit, names, series, len(labels), parts))
     charts[SEPARATION]["mark"] = about["d_safe"]
     return charts
+
+
+def _wing_charts(recording: Recording, about: dict[str, Any]) -> Iterator[dict[str, Any]]:
+    """Yield the charts of aircraft with wings."""
+    yield _chart("Flight", "airspeed", "m/s", [""], "airspeed", 1, [0])
+    if recording.scene["rotor_speed"].any():
+        yield _chart("Flight", "forward rotors, mean", "rad/s", [""], "forward rotors", 1, [0])
+        width = recording.scene["deflection"].shape[2]
+        named = {tuple(one["surfaces"]) for one in about["airframes"] if one.get("surfaces")}
+        names = named.pop() if len(named) == 1 else [str(part) for part in range(width)]
+        yield _chart("Flight", "control surfaces", "rad", names, "deflection", width, range(width))
 
 
 def _chart(

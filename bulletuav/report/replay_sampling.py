@@ -115,7 +115,8 @@ def _sample_scene(
 ) -> dict[str, np.ndarray]:
     """Sample the arrays of the scene that depend on the row or the drone."""
     taken = dict(scene)
-    taken["rotor_speed"] = states(scene["rotor_speed"])
+    for name in {"rotor_speed", "deflection", "airspeed"} & set(scene):
+        taken[name] = states(scene[name])
     for name in {"obstacle_quaternion", "cable"} & set(scene):
         taken[name] = scene[name][row]
     number, drone, target = scene["link"].T

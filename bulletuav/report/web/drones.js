@@ -21,6 +21,7 @@ const CYLINDER = 1; // kind in geometry/shapes.py
 const SMALLEST = { drone: 26, goal: 9, contact: 9, disc: 4 }; // minimum sizes, pixels
 const CROWDED = 13; // minimum size of drones with details among others, pixels
 const TURNS = 3; // displayed revolutions per second of a propeller at 1,000 rad/s: slow enough to be visible
+const FORWARD = new Quaternion(0, Math.SQRT1_2, 0, Math.SQRT1_2); // turns z to x
 const GREY = new Color(0.5, 0.5, 0.5);
 const MOST_CONTACTS = 256;
 const CONTACT_TIME = 1.5; // duration for which a contact is shown, s
@@ -34,7 +35,7 @@ function instances(geometry, material, count, coloured = true) {
 }
 
 /** Split the parts of an airframe into its body and the discs that represent propellers. */
-function looks({ parts, rotors, propeller_radius: radius }) {
+function looks({ parts, rotors, propeller_radius: radius, forward = [], heights = [] }) {
   const isDisc = (part) =>
     part.kind === CYLINDER && part.half[2] < 0.2 * part.half[0] && part.half[0] > 0.5 * radius;
   const body = parts.filter((part) => !isDisc(part));
@@ -46,7 +47,13 @@ function looks({ parts, rotors, propeller_radius: radius }) {
     matrix: pose(part.position, part.quaternion),
     hue: hue(part.colour),
   }));
-  const places = rotors.map(([x, y, turn]) => ({ x, y, z: height, turn }));
+  const places = rotors.map(([x, y, turn], k) => ({
+    x,
+    y,
+    z: heights[k] ?? height,
+    turn,
+    isForward: forward.includes(k),
+  }));
   return { body: joined(shown), places, radius };
 }
 
@@ -58,13 +65,14 @@ class Fleet extends Group {
     this.members = members;
     this.colours = members.map((k) => new Color(colours[k]));
     this.places = places;
+    this.hasForward = places.some((place) => place.isForward);
     this.size = 2 * airframe.radius;
     // Discs have the drone's colour; the front ones are brighter, to show the heading.
     const white = (share) => new Color(share, share, share);
     const disc = joined(
-      places.map(({ x, y, z }) => ({
+      places.map(({ x, y, z, isForward }) => ({
         geometry: new CircleGeometry(radius, 20),
-        matrix: pose([x, y, z]),
+        matrix: pose([x, y, z], isForward ? FORWARD.toArray() : undefined),
         hue: white(x > 1e-9 ? 1 : 0.55),
       })),
     );
@@ -98,10 +106,12 @@ class Fleet extends Group {
       members.length * places.length,
       false,
     );
-    this.angle = new Float32Array(members.length);
+    this.angle = new Float32Array(members.length); // of rotors along z
+    this.forwardAngle = new Float32Array(members.length);
     this.add(this.bodies, this.discs, this.blades);
     this.spot = new Vector3();
     this.turn = new Quaternion();
+    this.ahead = new Quaternion();
   }
 
   update(episode, scales, seconds) {
@@ -116,13 +126,20 @@ class Fleet extends Group {
       const { x, y, z, w } = this.turn;
       const scale = scales[k] * (flies ? 1 : 0.7);
       writePose(out, 16 * m, p[i], p[i + 1], p[i + 2], x, y, z, w, scale);
-      this.angle[m] += seconds * TURNS * 2 * Math.PI * 1e-3 * episode.rotorSpeed(k);
+      const perSpeed = seconds * TURNS * 2 * Math.PI * 1e-3;
+      this.angle[m] += perSpeed * episode.rotorSpeed(k, false);
+      if (this.hasForward) {
+        this.forwardAngle[m] += perSpeed * episode.rotorSpeed(k, true);
+        this.ahead.copy(this.turn).multiply(FORWARD);
+      }
       for (let r = 0; r < this.places.length; r += 1) {
         const place = this.places[r];
         this.spot.set(place.x, place.y, place.z).applyQuaternion(this.turn).multiplyScalar(scale);
         // The drag torque of a rotor acts on the body opposite to its spin.
-        const half = -0.5 * place.turn * (this.angle[m] + r);
+        const angle = place.isForward ? this.forwardAngle[m] : this.angle[m];
+        const half = -0.5 * place.turn * (angle + r);
         const [s, c] = [Math.sin(half), Math.cos(half)];
+        const { x, y, z, w } = place.isForward ? this.ahead : this.turn;
         writePose(
           blades,
           16 * (m * this.places.length + r),

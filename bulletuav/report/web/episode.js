@@ -14,6 +14,7 @@ export class Episode {
     this.moving = ["position", "quaternion", "goal", "obstacle", "obstacle_quaternion", "target"];
     for (const name of this.moving) this[name] = new Float32Array(payload.series(name).low.length);
     this.rotors = payload.series("rotors");
+    this.forward = payload.has("forward rotors") ? payload.series("forward rotors") : undefined;
     this.sample(this.start);
   }
 
@@ -55,8 +56,9 @@ export class Episode {
     return this.seen[this.row * this.about.users + user] === 1;
   }
 
-  rotorSpeed(drone) {
-    return this.flies(drone) ? this.rotors.at(this.row, drone) : 0;
+  /** Mean speed of a drone's rotors along z, or along x, rad/s. */
+  rotorSpeed(drone, isForward) {
+    return this.flies(drone) ? (isForward ? this.forward : this.rotors).at(this.row, drone) : 0;
   }
 
   /** Minimum and maximum x, y, z of all moving objects: [[x, y, z], [x, y, z]]. */
