@@ -14,7 +14,13 @@ from bulletuav.bridges.airsim_cameras import make_cameras, make_external_cameras
 from bulletuav.bridges.airsim_settings import AirsimSettings, VehicleSettings
 from bulletuav.bridges.airsim_values import attitude_from_airsim, yaw_from_airsim
 from bulletuav.bridges.airsim_vehicle import AirsimVehicle, Collision
-from bulletuav.bridges.setpoints import SetpointController, State, apply_commands, make_airspace
+from bulletuav.bridges.setpoints import (
+    SetpointController,
+    State,
+    apply_commands,
+    make_airspace,
+    require_hovering,
+)
 from bulletuav.earth import Origin, ned_to_enu
 from bulletuav.envs.airspace import Airspace
 from bulletuav.errors import as_int, as_sequence, former_names, points_of, shown, unknown
@@ -89,6 +95,7 @@ class AirsimWorld:
         """
         self.settings = settings = settings or AirsimSettings()
         self._airframe, self._has_lidar = load_airframe(airframe), lidar
+        require_hovering(self._airframe, "AirSim")
         vehicles = _list_vehicles(drones, places, settings)
         # Clients rely on AirSim's rate
         if "decision_hz" in options:
@@ -185,7 +192,7 @@ class AirsimWorld:
             for k in range(state.obstacle.shape[1]):
                 pose = (state.obstacle[0, k].tolist(), state.obstacle_turn[0, k].tolist())
                 airspace.place_obstacle(k, *pose, state.obstacle_velocity[0, k].tolist())
-            airspace.place(list(range(count)), *(array.tolist() for array in swarm))
+            airspace.place(list(range(count)), *(array.tolist() for array in swarm[:5]))
             _place_beside(airspace, count, vehicle)
         except ValueError:
             airspace.close()

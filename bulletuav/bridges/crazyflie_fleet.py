@@ -8,7 +8,13 @@ from bulletuav.bridges.crazyflie_services import TICK_MS
 from bulletuav.bridges.crazyflie_toc import LOGS
 from bulletuav.bridges.crazyflie_vehicle import CrazyflieVehicle
 from bulletuav.bridges.crtp import Packet
-from bulletuav.bridges.setpoints import apply_commands, euler, get_states, make_airspace
+from bulletuav.bridges.setpoints import (
+    apply_commands,
+    euler,
+    get_states,
+    make_airspace,
+    require_hovering,
+)
 from bulletuav.bridges.starts import make_start_positions
 from bulletuav.compiled.functions import cos, sin
 from bulletuav.earth import pressure
@@ -50,6 +56,7 @@ class CrazyflieFleet:
             ValueError: If an option is invalid.
         """
         frame = load_airframe(airframe)
+        require_hovering(frame, "Crazyflies")
         places = make_start_positions(drones, frame.standing_height, SPACING)
         if "decision_hz" in options:
             raise ValueError(f"decision_hz is {DECISION_HZ}, as in the firmware: omit the option")

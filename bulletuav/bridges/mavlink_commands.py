@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
-from bulletuav.bridges.mavlink_coordinates import GLOBAL_FRAMES
+from bulletuav.bridges.mavlink_coordinates import GLOBAL_FRAMES, RELATIVE_FRAMES
 from bulletuav.bridges.mavlink_gimbal import DEVICE_ID, REMOVE
 from bulletuav.bridges.mavlink_motions import FACE_TANGENT, OrbitPlan
 from bulletuav.bridges.mavlink_protocol import (
@@ -18,6 +18,7 @@ from bulletuav.bridges.mavlink_protocol import (
 )
 from bulletuav.bridges.mavlink_telemetry import TelemetryRates, make_message
 from bulletuav.bridges.mavlink_vehicle import MavlinkVehicle
+from bulletuav.bridges.mavlink_wings import ON_ROTORS, ON_WINGS
 from bulletuav.bridges.motions import PATH_ACCELERATION
 
 FORCE_DISARM_MAGIC = 21196
@@ -120,8 +121,11 @@ def _reposition(
     vehicle: MavlinkVehicle, streams: TelemetryRates, request: CommandRequest
 ) -> Sequence[OutgoingMessage]:
     """Fly to a position; unset coordinates keep the vehicle's present ones."""
-    speed, _, _, yaw, *_ = request.params
+    speed, _, radius, yaw, *_ = request.params
     position = _read_position(vehicle, request)
+    if vehicle.pilot.is_forward:
+        vehicle.pilot.circle(position, radius, speed)
+        return ()
     if speed > 0:
         vehicle.pilot.route.speed = speed
     yaw_enu = math.pi / 2 - yaw if math.isfinite(yaw) else None
@@ -146,6 +150,9 @@ def _orbit(
 ) -> Sequence[OutgoingMessage]:
     """Fly a circle: radius (negative: counter-clockwise), speed, yaw behaviour, centre."""
     radius, speed, behavior, sweep, *_ = request.params
+    if vehicle.pilot.is_forward:
+        vehicle.pilot.circle(_read_position(vehicle, request), radius, speed)
+        return ()
     speed = abs(speed) if math.isfinite(speed) else DEFAULT_ORBIT_SPEED
     behavior = behavior if math.isfinite(behavior) else 0.0
     if not 1 <= abs(radius) <= MAX_ORBIT_RADIUS:
@@ -235,10 +242,33 @@ def _calibrate(
 def _change_speed(
     vehicle: MavlinkVehicle, streams: TelemetryRates, request: CommandRequest
 ) -> Sequence[OutgoingMessage]:
-    """Set the speed of missions, m/s, from the next leg on."""
+    """Set the speed of missions, m/s, from the next leg on; on wings the airspeed, from now on."""
     if not 0 < request.params[1] < math.inf:
         raise RefusedError("speed: more than 0 m/s is needed")
     vehicle.pilot.route.speed = request.params[1]
+    return ()
+
+
+def _change_altitude(
+    vehicle: MavlinkVehicle, streams: TelemetryRates, request: CommandRequest
+) -> Sequence[OutgoingMessage]:
+    """Hold at another altitude: parameter 1, in the frame of parameter 2."""
+    altitude, frame = request.params[0], request.get_int(2)
+    if not math.isfinite(altitude) or frame not in GLOBAL_FRAMES + RELATIVE_FRAMES:
+        raise RefusedError("altitude in frame 0, 3, 5 or 6 is needed")
+    above = altitude - (vehicle.site.altitude if frame in GLOBAL_FRAMES else 0.0)
+    vehicle.pilot.change_height(vehicle.site.start[2] + above)
+    return ()
+
+
+def _transition(
+    vehicle: MavlinkVehicle, streams: TelemetryRates, request: CommandRequest
+) -> Sequence[OutgoingMessage]:
+    """Make a VTOL fly on its rotors (3) or its wings (4)."""
+    state = request.get_int(1)
+    if state not in (ON_ROTORS, ON_WINGS):
+        raise RefusedError(f"transition: {ON_ROTORS} or {ON_WINGS} is needed")
+    vehicle.pilot.transition(state == ON_WINGS)
     return ()
 
 
@@ -358,6 +388,8 @@ COMMANDS: Mapping[int, CommandHandler] = {
     Command.ORBIT: _orbit,
     Command.SET_MODE: _do_set_mode,
     Command.CHANGE_SPEED: _change_speed,
+    Command.CHANGE_ALTITUDE: _change_altitude,
+    Command.VTOL_TRANSITION: _transition,
     Command.TERMINATE: _terminate,
     Command.REPOSITION: _reposition,
     Command.ROI_LOCATION: _look_at,

@@ -28,7 +28,9 @@ PHYSICS_HZ = 500
 HOME = (47.397742, 8.545594, 488.0)
 """Default home of PX4's simulated vehicles: latitude, longitude (degrees), altitude (m)"""
 SPACING = 2.0
-"""Distance between neighbours at the start, m"""
+"""Least distance between neighbours at the start, m"""
+SPACING_RADII = 2.5
+"""Least distance between neighbours at the start, in radii of their collision shapes"""
 MAX_VEHICLES = 250
 """Maximum number of vehicles; higher system IDs belong to ground stations"""
 MIN_SUPPORT_NORMAL = 0.7
@@ -61,7 +63,8 @@ class MavlinkFleet:
         """Place the vehicles on the ground, and switch them on.
 
         Args:
-            drones: Number of vehicles, in rows 2 m apart; or their positions, (N, 2), m.
+            drones: Number of vehicles, in rows 2 m apart, or more if they are large; or their
+                positions, (N, 2), m.
             airframe: Airframe of all vehicles.
             home: Latitude, longitude (degrees) and altitude (m) of the airspace's origin.
             pictures: Folder for the pictures of cameras, whose numbers continue those of earlier
@@ -76,7 +79,8 @@ class MavlinkFleet:
             raise NotADirectoryError(f"no folder {shown(str(pictures))}: create it for pictures")
         self._has_cameras = pictures is not None
         frame = load_airframe(airframe)
-        places = make_start_positions(drones, frame.standing_height, SPACING)
+        spacing = max(SPACING, SPACING_RADII * frame.collision_radius)
+        places = make_start_positions(drones, frame.standing_height, spacing)
         as_int("number of drones", len(places), 1, MAX_VEHICLES)
         if "decision_hz" in options:
             raise ValueError(f"decision_hz is {STEP_HZ} for MAVLink clients: omit the option")
@@ -100,7 +104,15 @@ class MavlinkFleet:
     def _make_vehicle(self, i: int, airframe: Airframe, site: Site) -> MavlinkVehicle:
         """Return the autopilot of a vehicle."""
         set_rotors = partial(self._set_rotors, i)
-        return MavlinkVehicle(i + 1, airframe, site, partial(self._locate, i), set_rotors)
+        pilot = self.airspace.world.cascade.autopilot
+        row = None if pilot is None else pilot.rows[0, i]
+        get_wind, locate = partial(self._read_wind, i), partial(self._locate, i)
+        return MavlinkVehicle(i + 1, airframe, site, locate, set_rotors, row, get_wind)
+
+    def _read_wind(self, i: int) -> list[float]:
+        """Return the velocity of the air at a vehicle, (3,), m/s."""
+        wind: list[float] = self.airspace.world.state.wind[0, i].tolist()
+        return wind
 
     def _make_camera(self, i: int, folder: str | Path | None) -> MavlinkCamera | None:
         """Return the camera of a vehicle, or None without a folder for its pictures."""
@@ -150,6 +162,10 @@ class MavlinkFleet:
         apply_commands(
             self.airspace, [service.vehicle.pilot.order(period) for service in self.services]
         )
+        for i, service in enumerate(self.services):
+            force = service.vehicle.pilot.get_launch_force()
+            if force is not None:
+                self.airspace.apply(i, force)
         self.airspace.step()
         self.tick += 1
         self._update_vehicles()
@@ -171,8 +187,18 @@ class MavlinkFleet:
         self._geodetic_poses: list[list[float]] | None = None
         for i, (service, state) in enumerate(zip(self.services, get_states(swarm), strict=True)):
             service.vehicle.acceleration = change[i]
+            service.vehicle.throttle = self._read_throttle(i)
             service.vehicle.gimbal.update(state, self.time)
             service.vehicle.pilot.update_state(state, self.time, i in touching or self.tick == 0)
+
+    def _read_throttle(self, i: int) -> float:
+        """Return the mean speed of the forward rotors of a vehicle relative to the maximum."""
+        airframe = self.airspace.airframes[i]
+        rotors = list(airframe.forward_rotors)
+        if not rotors:
+            return 0.0
+        mean = float(self.airspace.swarm.rotor_speed[i, rotors].mean())
+        return mean / airframe.max_rotor_speed
 
     def _set_rotors(self, i: int, effectiveness: Sequence[float]) -> None:
         """Set the effectiveness of the rotors of a vehicle, see `Airspace.set_condition`."""

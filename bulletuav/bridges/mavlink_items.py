@@ -1,21 +1,41 @@
 """Mission items: supported commands, positions, and validation of a mission."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 from bulletuav.bridges.mavlink_coordinates import GLOBAL_FRAMES, RELATIVE_FRAMES, Site
 from bulletuav.bridges.mavlink_fence import Geofence, MissionItem
 from bulletuav.bridges.mavlink_protocol import RefusedError
 
 WAYPOINT, LOITER_UNLIMITED, LOITER_TIME, RETURN, LAND, TAKEOFF = 16, 17, 19, 20, 21, 22
-DELAY, JUMP, CHANGE_SPEED = 93, 177, 178
-POSITION_COMMANDS = (WAYPOINT, LOITER_UNLIMITED, LOITER_TIME, LAND, TAKEOFF)
+LOITER_TURNS, LOITER_TO_ALTITUDE, VTOL_TAKEOFF, VTOL_LAND = 18, 31, 84, 85
+DELAY, JUMP, CHANGE_SPEED, LAND_START, VTOL_TRANSITION = 93, 177, 178, 189, 3000
+HOVER_POSITIONS = (WAYPOINT, LOITER_UNLIMITED, LOITER_TIME, LAND, TAKEOFF)
+POSITION_COMMANDS = (*HOVER_POSITIONS, LOITER_TURNS, LOITER_TO_ALTITUDE, VTOL_TAKEOFF, VTOL_LAND)
 """Commands of items with a position"""
-SUPPORTED_COMMANDS = (*POSITION_COMMANDS, RETURN, DELAY, JUMP, CHANGE_SPEED)
-"""Commands of supported items"""
+SUPPORTED_COMMANDS = (*HOVER_POSITIONS, RETURN, DELAY, JUMP, CHANGE_SPEED)
+"""Commands of items that all vehicles support"""
+WING_COMMANDS = (*SUPPORTED_COMMANDS, LOITER_TURNS, LOITER_TO_ALTITUDE, LAND_START)
+"""Commands of items that aircraft with wings support"""
+VTOL_COMMANDS = (*WING_COMMANDS, VTOL_TAKEOFF, VTOL_LAND, VTOL_TRANSITION)
+"""Commands of items that VTOLs support"""
 UNSUPPORTED, UNSUPPORTED_FRAME, INVALID_PARAM1, INVALID_PARAM5_X, DENIED = 3, 2, 6, 10, 14
+INVALID_PARAM3 = 8
 """Error codes of a MISSION_ACK (MAV_MISSION_RESULT)"""
 Position = tuple[float, float, float]
+
+
+LOITER_COMMANDS = (LOITER_UNLIMITED, LOITER_TURNS, LOITER_TIME, LOITER_TO_ALTITUDE)
+"""Commands of items with the radius of a circle"""
+
+
+def read_item_radius(item: MissionItem) -> float:
+    """Return the radius of one of the `LOITER_COMMANDS`, m: negative for anticlockwise, 0 if unset.
+
+    The radius is parameter 2 of `LOITER_TO_ALTITUDE`, and parameter 3 of the others.
+    """
+    radius = item.params[1 if item.command == LOITER_TO_ALTITUDE else 2]
+    return radius if math.isfinite(radius) else 0.0
 
 
 class MissionError(RefusedError):
@@ -47,7 +67,7 @@ def compute_item_position(item: MissionItem, site: Site, current: Sequence[float
         RefusedError: If the position is invalid.
     """
     is_at_vehicle = item.x == item.y == 0 or not math.isfinite(item.x + item.y)
-    if is_at_vehicle and item.command in (TAKEOFF, LAND):
+    if is_at_vehicle and item.command in (TAKEOFF, LAND, VTOL_TAKEOFF, VTOL_LAND):
         altitude = item.z + (site.altitude if item.frame in RELATIVE_FRAMES else 0.0)
         height = site.start[2] + altitude - site.altitude
         if not math.isfinite(height):
@@ -57,7 +77,12 @@ def compute_item_position(item: MissionItem, site: Site, current: Sequence[float
 
 
 def check_mission(
-    items: Sequence[MissionItem], site: Site, fence: Geofence, max_distance: float
+    items: Sequence[MissionItem],
+    site: Site,
+    fence: Geofence,
+    max_distance: float,
+    commands: Collection[int] = SUPPORTED_COMMANDS,
+    min_radius: float = 0.0,
 ) -> None:
     """Validate a mission.
 
@@ -67,16 +92,21 @@ def check_mission(
         fence: Geofence.
         max_distance: Maximum distance of the first position from home, m (MIS_DIST_1WP); 0 or less
             for no limit.
+        commands: Commands of items that the vehicle supports.
+        min_radius: Radius of the smallest loiter, m.
 
     Raises:
         MissionError: If an item is not supported, or breaches the geofence.
     """
     is_first = True
     for number, item in enumerate(items):
-        if item.command not in SUPPORTED_COMMANDS:
+        if item.command not in commands:
             raise MissionError(f"item {number}: command {item.command} unknown", UNSUPPORTED)
         if item.command == JUMP and item.params[0] not in range(len(items)):
             raise MissionError(f"item {number}: jump to no item", INVALID_PARAM1)
+        if item.command in LOITER_COMMANDS and 0 < abs(read_item_radius(item)) < min_radius:
+            reason = f"item {number}: radius below {min_radius:.0f} m"
+            raise MissionError(reason, INVALID_PARAM3)
         # Commands without a position have neither frame nor fence to check
         if item.command not in POSITION_COMMANDS:
             continue

@@ -4,7 +4,12 @@ import math
 import struct
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from bulletuav.bridges.mavlink_protocol import Message, OutgoingMessage, RefusedError
+from bulletuav.bridges.mavlink_wings import forward_thrust
+from bulletuav.geometry.obstacle import DEFAULT_FRICTION
+from bulletuav.vehicle.airframe import STANDARD_GRAVITY, Airframe
 
 INT32, REAL32 = 6, 9
 """Parameter types (MAV_PARAM_TYPE)"""
@@ -35,6 +40,10 @@ PARAMETERS = {
     "FLW_TGT_HT": MavlinkParameter(8.0, 8.0, 100.0),
     "FLW_TGT_MAX_VEL": MavlinkParameter(5.0, 0.1, 20.0),
     "FLW_TGT_RS": MavlinkParameter(0.1, 0.0, 1.0),
+    "FW_AIRSPD_MAX": MavlinkParameter(20.0, 0.5, 100.0),
+    "FW_AIRSPD_MIN": MavlinkParameter(10.0, 0.5, 100.0),
+    "FW_AIRSPD_TRIM": MavlinkParameter(15.0, 0.5, 100.0),
+    "FW_LND_ANG": MavlinkParameter(5.0, 1.0, 15.0),
     "GF_ACTION": MavlinkParameter(2, 0, 5),
     "GF_MAX_HOR_DIST": MavlinkParameter(0.0, 0.0, 10000.0),
     "GF_MAX_VER_DIST": MavlinkParameter(0.0, 0.0, 10000.0),
@@ -51,13 +60,40 @@ PARAMETERS = {
     "MPC_YAWRAUTO_MAX": MavlinkParameter(60.0, 5.0, 360.0),
     "MPC_Z_VEL_MAX_DN": MavlinkParameter(1.5, 0.2, 10.0),
     "MPC_Z_VEL_MAX_UP": MavlinkParameter(3.0, 0.2, 10.0),
+    "NAV_ACC_RAD": MavlinkParameter(10.0, 0.05, 200.0),
+    "NAV_FW_ALT_RAD": MavlinkParameter(10.0, 0.05, 200.0),
+    "NAV_LOITER_RAD": MavlinkParameter(80.0, 25.0, 1000.0),
     "RTL_DESCEND_ALT": MavlinkParameter(30.0, 0.0, 100.0),
+    "RTL_LAND_DELAY": MavlinkParameter(-1.0, -1.0, 3600.0),
     "RTL_RETURN_ALT": MavlinkParameter(60.0, 0.0, 150.0),
+    "RWTO_TKOFF": MavlinkParameter(0, 0, 1),
     "SYS_FAILURE_EN": MavlinkParameter(0, 0, 1),
 }
 """Supported parameters"""
 READ_ONLY = ("MAV_SYS_ID", "MPC_THR_HOVER")
 NAMES = sorted(PARAMETERS)
+
+
+def wing_parameters(airframe: Airframe, row: np.record) -> dict[str, float]:
+    """Return the values of an aircraft with wings that differ from the defaults, by name.
+
+    Take-off altitudes are PX4's for VTOLs and fixed wings (`rc.vtol_defaults`, `rc.fw_defaults`);
+    speeds and the radius of loiters are those of the airframe. Aircraft take off from a runway if
+    their thrust is more than twice their friction there.
+
+    Args:
+        airframe: The airframe.
+        row: Its row of `AUTOPILOT`.
+    """
+    friction = math.sqrt(airframe.friction * DEFAULT_FRICTION) * airframe.mass * STANDARD_GRAVITY
+    return {
+        "FW_AIRSPD_MAX": float(row["max_speed"]),
+        "FW_AIRSPD_MIN": float(row["min_speed"]),
+        "FW_AIRSPD_TRIM": float(row["cruise_speed"]),
+        "MIS_TAKEOFF_ALT": 20.0 if row["can_hover"] else 25.0,
+        "RWTO_TKOFF": int(forward_thrust(airframe) > 2 * friction),
+        "NAV_LOITER_RAD": max(float(math.ceil(row["loiter_radius"])), 25.0),
+    }
 
 
 class MavlinkParameterService:

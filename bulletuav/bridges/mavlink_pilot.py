@@ -1,12 +1,17 @@
 """Arming, flight modes and motions of a MAVLink vehicle."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 from bulletuav.bridges.mavlink_coordinates import Site
 from bulletuav.bridges.mavlink_failures import Failures
 from bulletuav.bridges.mavlink_fence import Geofence, MissionItem
-from bulletuav.bridges.mavlink_items import check_mission
+from bulletuav.bridges.mavlink_items import (
+    SUPPORTED_COMMANDS,
+    VTOL_COMMANDS,
+    WING_COMMANDS,
+    check_mission,
+)
 from bulletuav.bridges.mavlink_motions import (
     Descend,
     FollowMovingTarget,
@@ -19,6 +24,24 @@ from bulletuav.bridges.mavlink_motions import (
 from bulletuav.bridges.mavlink_parameters import MavlinkParameterService
 from bulletuav.bridges.mavlink_protocol import CommandResult, Mode, RefusedError
 from bulletuav.bridges.mavlink_route import Route
+from bulletuav.bridges.mavlink_wings import (
+    NO_VTOL,
+    ON_ROTORS,
+    ON_WINGS,
+    TO_ROTORS,
+    TO_WINGS,
+    Brake,
+    ClimbOut,
+    Launch,
+    Loiter,
+    ManualWings,
+    SpiralDescent,
+    Transition,
+    WingFlight,
+    WingLeg,
+    brake_distance,
+    plan_landing,
+)
 from bulletuav.bridges.motions import (
     FollowPath,
     Heading,
@@ -32,6 +55,8 @@ from bulletuav.vehicle.airframe import Airframe
 
 CONTACT_DEBOUNCE_TIME = 0.1
 """Time with or without ground contact until the vehicle counts as landed or flying, s"""
+MAX_LANDED_SPEED = 5.0
+"""Horizontal speed above which wings have not landed, m/s: default of LNDFW_VEL_XY_MAX of PX4"""
 TUMBLE_TIMEOUT = 1.0
 """Time upside down after which the vehicle is disarmed, s"""
 WARN, HOLD, RETURN, LAND = 1, 2, 3, 5
@@ -67,15 +92,26 @@ class Pilot:
         parameters: MavlinkParameterService,
         fence: Geofence,
         failures: Failures,
+        wings: WingFlight | None = None,
     ) -> None:
-        """Initialise on the ground, disarmed."""
+        """Initialise on the ground, disarmed.
+
+        Args:
+            airframe: Airframe of the body.
+            site: Start position.
+            parameters: Parameters.
+            fence: Geofence.
+            failures: Injected failures.
+            wings: Flight on wings; None for a multirotor.
+        """
+        self._wings = wings
         self._airframe, self._site, self._fence = airframe, site, fence
         self._values = parameters.values
         self._guide = SetpointController(airframe)
         self.mode, self.is_armed, self.has_landed = Mode.HOLD, False, True
         self.state: State = (list(site.start), [0.0, 0.0, 0.0, 1.0], [0.0] * 3, [0.0] * 3)
         self.now = 0.0
-        self.route = Route(site, self._values)
+        self.route = Route(site, self._values, wings)
         self.rally_points: list[tuple[float, float, float]] = []
         self.failures = failures
         self.target: Target | None = None
@@ -114,11 +150,17 @@ class Pilot:
         """Update `has_landed`, with debounced ground contact."""
         if is_touching == self.has_landed:
             self._is_touching = is_touching
-        elif is_touching != self._is_touching:
+        elif is_touching != self._is_touching or (is_touching and self._is_rolling):
             self._is_touching, self._contact_change_time = is_touching, self.now
         elif self.now - self._contact_change_time >= CONTACT_DEBOUNCE_TIME - 1e-9:
             self.has_landed, self._contact_change_time = is_touching, self.now
             self._has_flown = self._has_flown or not is_touching
+
+    @property
+    def _is_rolling(self) -> bool:
+        """True if an aircraft with wings is too fast to have landed."""
+        vx, vy, _ = self.state[2]
+        return self.is_forward and math.hypot(vx, vy) > MAX_LANDED_SPEED
 
     @property
     def has_tumbled(self) -> bool:
@@ -153,8 +195,10 @@ class Pilot:
             self._hold_or_land("no manual control")
             return
         previous = self._motion
-        self._motion = self._next_motion() or previous.get_next_motion(self.state)
-        if self.mode in (Mode.TAKEOFF, Mode.MISSION) and isinstance(self._motion, HoldPosition):
+        following = self._next_motion()
+        self._motion = following or previous.get_next_motion(self.state)
+        holds = isinstance(self._motion, HoldPosition | Loiter)
+        if self.mode in (Mode.TAKEOFF, Mode.MISSION) and following is None and holds:
             self.mode = Mode.HOLD
 
     def _hold_or_land(self, reason: str) -> None:
@@ -212,6 +256,8 @@ class Pilot:
         setpoint: Setpoint | AirspaceCommand | None = None
         if self.is_armed and self.mode == Mode.OFFBOARD:
             setpoint = self._offboard_setpoint
+            if self._wings is not None and self.is_forward and isinstance(setpoint, Setpoint):
+                setpoint = self._wings.follow(setpoint, self.state)
         elif self.is_armed:
             setpoint = self._motion.get_setpoint(self.state, self.now)
             if isinstance(setpoint, Setpoint) and setpoint.yaw_mode == "angle":
@@ -223,6 +269,26 @@ class Pilot:
             return self._guide.compute_command(setpoint, self.state, period)
         self._guide.reset()
         return setpoint
+
+    def get_launch_force(self) -> tuple[float, float, float] | None:
+        """Return the force of the launcher, (3,), N, world; None except during a launch."""
+        if not isinstance(self._motion, Launch):
+            return None
+        return self._motion.get_force(self.state)
+
+    @property
+    def is_forward(self) -> bool:
+        """True if the vehicle flies on wings, or is commanded to."""
+        return self._wings is not None and self._wings.is_forward
+
+    @property
+    def vtol_state(self) -> int:
+        """State of a VTOL (MAV_VTOL_STATE)."""
+        if self._wings is None or not self._wings.can_hover:
+            return NO_VTOL
+        if self.is_forward:
+            return TO_WINGS if isinstance(self._motion, Transition) else ON_WINGS
+        return TO_ROTORS if isinstance(self._motion, Brake) else ON_ROTORS
 
     def _limit_yaw_rate(self, setpoint: Setpoint, period: float) -> Setpoint:
         """Limit the yaw rate to MPC_YAWRAUTO_MAX, as a step of the yaw would disturb the flight."""
@@ -276,10 +342,12 @@ class Pilot:
     def _disarm(self, reason: str) -> None:
         """Switch the motors off, and send the reason to the clients."""
         self.is_armed, self.mode, self._motion = False, Mode.HOLD, MotorsOff()
+        if self._wings is not None:
+            self._wings.reset()
         self.status_texts += [reason] if reason else []
 
     def take_off(self, height: float | None) -> None:
-        """Climb vertically, as soon as the vehicle is armed.
+        """Climb vertically, or on wings straight ahead, as soon as the vehicle is armed.
 
         Args:
             height: Height in the airspace, m; None for MIS_TAKEOFF_ALT above home.
@@ -302,14 +370,80 @@ class Pilot:
             RefusedError: If the position breaches the geofence, or the vehicle does not fly.
         """
         self._fence.require_inside("position is", position)
-        if not self.is_armed or self.has_landed:
-            raise RefusedError(
-                "not flying: arm and take off first", CommandResult.TEMPORARILY_REJECTED
-            )
+        self._require_flying()
         self._require_position(Mode.HOLD)
         heading = Heading(forward=True) if yaw is None else Heading("angle", yaw)
         self.mode, self._next_motion = Mode.HOLD, lambda: None
         self._motion = self._leg(position, self.route.speed, heading)
+
+    def _require_flying(self) -> None:
+        """Raise RefusedError if the vehicle does not fly."""
+        if not self.is_armed or self.has_landed:
+            raise RefusedError(
+                "not flying: arm and take off first", CommandResult.TEMPORARILY_REJECTED
+            )
+
+    def circle(self, center: tuple[float, float, float], radius: float, speed: float = 0.0) -> None:
+        """Fly on wings to a circle, and around it until the mode changes.
+
+        Args:
+            center: (3,) centre, m.
+            radius: Radius, m; negative for an anticlockwise circle; 0 or NaN for NAV_LOITER_RAD.
+            speed: Airspeed, m/s; 0 or less or NaN for the present one.
+
+        Raises:
+            RefusedError: If the centre breaches the geofence, the circle is too small, or the
+                vehicle does not fly.
+        """
+        assert self._wings is not None
+        self._fence.require_inside("position is", center)
+        self._require_flying()
+        self._require_position(Mode.HOLD)
+        least = self._wings.min_radius
+        if 0 < abs(radius) < least:
+            raise RefusedError(f"radius below {least:.0f} m at this airspeed")
+        if speed > 0:
+            self._wings.chosen_speed = speed
+        self.mode, self._next_motion = Mode.HOLD, lambda: None
+        self._motion = Loiter(self._wings, center, radius)
+
+    def change_height(self, height: float) -> None:
+        """Hold at another height in the airspace, m; a loiter keeps its circle.
+
+        Raises:
+            RefusedError: If the position breaches the geofence, or the vehicle does not fly.
+        """
+        x, y, _ = self.state[0]
+        if not self.is_forward:
+            self.go_to((x, y, height), euler(self.state[1])[2])
+        elif isinstance(self._motion, Loiter):
+            center = self._motion.center
+            self.circle((center[0], center[1], height), self._motion.radius)
+        else:
+            self.circle((x, y, height), 0.0)
+
+    def transition(self, is_forward: bool) -> None:
+        """Make a VTOL fly on its wings, or on its rotors, and continue its mode.
+
+        Raises:
+            RefusedError: If the vehicle is no VTOL, or does not fly.
+        """
+        if self._wings is None or not self._wings.can_hover:
+            raise RefusedError("no VTOL", CommandResult.UNSUPPORTED)
+        self._require_flying()
+        if self._wings.is_forward == is_forward:
+            return
+        self._wings.is_forward = is_forward
+        mode = self.mode
+        if mode in (Mode.TAKEOFF, Mode.ORBIT):
+            mode = self.mode = Mode.HOLD
+        self.route.set_current_item(self.route.current)
+        self._motion = (
+            Transition(self._wings, self.state, self.now)
+            if is_forward
+            else Brake(self.state, self.now)
+        )
+        self._next_motion = lambda: self._start_motion(mode)
 
     def orbit(self, plan: OrbitPlan) -> None:
         """Fly to the nearest point of a circle, and along the circle until the mode changes.
@@ -353,6 +487,11 @@ class Pilot:
         if mode in MANUAL_MODES and not self.has_recent_sticks:
             reason = "manual control denied: send sticks first"
             raise RefusedError(reason, CommandResult.TEMPORARILY_REJECTED)
+        if mode in MANUAL_MODES and self.is_forward and self.has_landed:
+            reason = "manual control denied: take off first"
+            raise RefusedError(reason, CommandResult.TEMPORARILY_REJECTED)
+        if mode == Mode.FOLLOW and self.is_forward:
+            raise RefusedError("follow denied: on wings")
         if mode == Mode.ORBIT and not isinstance(self._motion, Orbit):
             raise RefusedError("orbit denied: use the command 34")
         self._require_position(mode)
@@ -378,24 +517,41 @@ class Pilot:
                 f"{mode.name.lower()} denied: GPS failed", CommandResult.TEMPORARILY_REJECTED
             )
 
+    def check_mission(self, items: tuple[MissionItem, ...]) -> None:
+        """Validate the items of a mission.
+
+        Raises:
+            MissionError: If an item is not supported, or breaches the geofence.
+        """
+        commands: tuple[int, ...] = SUPPORTED_COMMANDS
+        least = 0.0
+        if self._wings is not None:
+            commands = VTOL_COMMANDS if self._wings.can_hover else WING_COMMANDS
+            least = self._wings.min_radius
+        max_distance = self._values["MIS_DIST_1WP"]
+        check_mission(items, self._site, self._fence, max_distance, commands, least)
+
     def _check_mission(self) -> None:
         """Validate the mission again before its start, as the geofence may have changed."""
         if not self.route.items:
             raise RefusedError("no mission: upload one first", CommandResult.TEMPORARILY_REJECTED)
-        max_distance = self._values["MIS_DIST_1WP"]
-        check_mission(self.route.items, self._site, self._fence, max_distance)
+        self.check_mission(self.route.items)
 
     def _start_motion(self, mode: Mode) -> MotionPrimitive:
         """Return the first motion of a mode."""
         if mode == Mode.TAKEOFF:
             goal, self._takeoff_goal = self._takeoff_goal, None
             assert goal is not None  # set by `enter_mode`
+            if self._wings is not None and self.is_forward:
+                return self._follow(self._launch(self._wings, goal[2]))
             return self._leg(goal, self._values["MPC_TKO_SPEED"], Heading())
         # A finished mission starts again
         if mode == Mode.MISSION:
             self.route.set_current_item(0 if self.route.is_over else self.route.current)
             self._next_motion = self._next_mission_motion
-            return self._next_mission_motion() or HoldPosition(self.state)
+            return self._next_mission_motion() or self._hold()
+        if mode in MANUAL_MODES and self._wings is not None and self.is_forward:
+            return ManualWings(self._wings, lambda: self.sticks, self._values)
         if mode in MANUAL_MODES:
             return ManualFlight(
                 lambda: self.sticks,
@@ -418,7 +574,24 @@ class Pilot:
             return FollowMovingTarget(
                 lambda: self.target, ground, self._values, hold, self.status_texts.append
             )
+        return self._hold()
+
+    def _hold(self) -> MotionPrimitive:
+        """Return the motion that holds the position, or loiters around it on wings."""
+        if self._wings is not None and self.is_forward:
+            return Loiter(self._wings, self.state[0])
         return HoldPosition(self.state, self.now)
+
+    def _follow(self, motions: Iterator[MotionPrimitive]) -> MotionPrimitive:
+        """Return the first of some motions; the others follow."""
+        self._next_motion = lambda: next(motions, None)
+        return next(motions)
+
+    def _launch(self, wings: WingFlight, height: float) -> Iterator[MotionPrimitive]:
+        """Yield the motions of a take-off on wings to a height, m."""
+        if self.has_landed:
+            yield Launch(wings, self.state, self.now)
+        yield ClimbOut(wings, self.state, self.now, height)
 
     def _next_mission_motion(self) -> MotionPrimitive | None:
         """Return the next motion of the mission, or None at its end."""
@@ -433,9 +606,57 @@ class Pilot:
 
     def _land(self) -> MotionPrimitive:
         """Return the motion that descends until ground contact."""
+        if self._wings is not None and self.is_forward:
+            return self._follow(self._wing_landing(self._wings))
         if not self.failures.has_gps:
             return Descend(self.state, self.now, math.inf, self._values["MPC_LAND_SPEED"])
         return Land(self.state, self.now, math.inf, self._values["MPC_LAND_SPEED"])
+
+    def _wing_landing(self, wings: WingFlight) -> Iterator[MotionPrimitive]:
+        """Yield the motions of a landing at the present position; a VTOL lands on its rotors."""
+        if wings.can_hover:
+            wings.is_forward = False
+            yield Brake(self.state, self.now)
+            yield self._land()
+        elif not self.failures.has_gps:
+            yield SpiralDescent(wings, self.now)
+        else:
+            x, y, _ = self.state[0]
+            point = (x, y, self._site.start[2])
+            course = wings.landing_course(self.state)
+            yield from plan_landing(wings, lambda: self.state, point, course)
+
+    def _wing_return(
+        self, wings: WingFlight, x: float, y: float, high: float, low: float
+    ) -> Iterator[MotionPrimitive]:
+        """Yield the motions of a return on wings: climb, fly to the goal, descend, and land.
+
+        As in PX4, an aircraft that cannot hover circles the goal without end if RTL_LAND_DELAY is
+        below 0.
+
+        Args:
+            wings: Flight on wings.
+            x: East coordinate of the goal, m.
+            y: North coordinate of the goal, m.
+            high: Height of the flight to the goal, m.
+            low: Height to which the vehicle descends above the goal, m.
+        """
+        px, py, _ = self.state[0]
+        yield Loiter(wings, (px, py, high), ends_at_height=True)
+        near = brake_distance(wings) if wings.can_hover else wings.radius
+        yield WingLeg(wings, self.state, (x, y, high), near)
+        yield Loiter(wings, (x, y, low), ends_at_height=True)
+        if wings.can_hover:
+            wings.is_forward = False
+            yield Brake(self.state, self.now)
+            speed = self._values["MPC_XY_CRUISE"]
+            yield self._leg((x, y, low), speed, Heading(forward=True))
+            yield self._land()
+            return
+        delay = self._values["RTL_LAND_DELAY"]
+        yield Loiter(wings, (x, y, low), seconds=delay if delay >= 0 else math.inf)
+        point, course = (x, y, self._site.start[2]), wings.landing_course(self.state)
+        yield from plan_landing(wings, lambda: self.state, point, course)
 
     def _return(self) -> MotionPrimitive:
         """Return the first leg of a return: climb, fly above the goal, descend, and land.
@@ -449,6 +670,9 @@ class Pilot:
         # PX4's heights are above home; the vehicle never descends before it is above its goal
         return_height = max(z, home[2] + values["RTL_RETURN_ALT"])
         descent_height = min(return_height, home[2] + values["RTL_DESCEND_ALT"])
+        if self._wings is not None and self.is_forward:
+            legs = self._wing_return(self._wings, goal_x, goal_y, return_height, descent_height)
+            return self._follow(legs)
         waypoints = iter([(goal_x, goal_y, return_height), (goal_x, goal_y, descent_height)])
 
         def next_leg() -> MotionPrimitive | None:

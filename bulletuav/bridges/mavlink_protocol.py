@@ -32,6 +32,7 @@ class Command(IntEnum):
     ORBIT = 34
     SET_MODE = 176
     CHANGE_SPEED = 178
+    CHANGE_ALTITUDE = 186
     TERMINATE = 185
     REPOSITION = 192
     ROI_LOCATION = 195
@@ -52,6 +53,7 @@ class Command(IntEnum):
     GIMBAL_CONFIGURE = 1001
     START_CAPTURE = 2000
     STOP_CAPTURE = 2001
+    VTOL_TRANSITION = 3000
 
 
 class CommandResult(IntEnum):

@@ -4,6 +4,7 @@ import math
 
 from bulletuav.bridges.mavlink_coordinates import Site, check_global_frame
 from bulletuav.bridges.mavlink_protocol import Message, RefusedError
+from bulletuav.bridges.mavlink_wings import forward_thrust
 from bulletuav.bridges.setpoints import AirspaceCommand, Setpoint, State, euler
 from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.earth import attitude_to_enu
@@ -150,6 +151,8 @@ def _read_yaw(message: Message, mask: int) -> tuple[str, float]:
 def parse_attitude_target(message: Message, airframe: Airframe) -> Setpoint:
     """Convert a SET_ATTITUDE_TARGET, whose thrust is a fraction of the maximum thrust.
 
+    That is the thrust of the forward rotors for an aircraft that cannot hover.
+
     Angular rates count only if the attitude is ignored. Roll and pitch are limited to `MAX_TILT`,
     rates to `MAX_RATE`.
 
@@ -168,7 +171,8 @@ def parse_attitude_target(message: Message, airframe: Airframe) -> Setpoint:
     mask = message.type_mask
     if mask & IGNORE_THRUST:
         raise RefusedError("attitude setpoint: a thrust is needed")
-    thrust = min(max(_clamp_finite(message.thrust, 1.0), 0.0), 1.0) * airframe.max_thrust
+    full = airframe.max_thrust if airframe.can_hover else forward_thrust(airframe)
+    thrust = min(max(_clamp_finite(message.thrust, 1.0), 0.0), 1.0) * full
     rates = [
         0.0 if mask & 1 << k else _clamp_finite(getattr(message, f"body_{axis}_rate"), MAX_RATE)
         for k, axis in enumerate(("roll", "pitch", "yaw"))

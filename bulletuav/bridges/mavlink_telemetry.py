@@ -13,7 +13,7 @@ from bulletuav.bridges.setpoints import euler
 
 STEP_HZ = 100
 """Steps per second, and maximum rate of a stream"""
-QUADROTOR, PX4 = 2, 12
+FIXED_WING, QUADROTOR, VTOL_FIXED_ROTOR, PX4 = 1, 2, 22, 12
 """MAV_TYPE of the vehicle, and MAV_AUTOPILOT"""
 STANDBY, ACTIVE = 3, 4
 HEALTH = 0b1 | 0b10 | 0b100 | 0b1000 | 0b100000 | 1 << 21 | 1 << 25 | 1 << 28
@@ -46,7 +46,21 @@ def _heartbeat(vehicle: MavlinkVehicle) -> tuple[Any, ...]:
     pilot = vehicle.pilot
     # Base mode: custom, stabilised, armed; guided and automatic except in mode OFFBOARD
     base = 1 | 16 | (0 if pilot.mode == Mode.OFFBOARD else 8 | 4) | (128 if pilot.is_armed else 0)
-    return QUADROTOR, PX4, base, int(pilot.mode), ACTIVE if pilot.is_armed else STANDBY, 3
+    return (
+        vehicle_type(vehicle),
+        PX4,
+        base,
+        int(pilot.mode),
+        ACTIVE if pilot.is_armed else STANDBY,
+        3,
+    )
+
+
+def vehicle_type(vehicle: MavlinkVehicle) -> int:
+    """Return the MAV_TYPE of a vehicle."""
+    if vehicle.wings is None:
+        return QUADROTOR
+    return VTOL_FIXED_ROTOR if vehicle.wings.can_hover else FIXED_WING
 
 
 def _sys_status(vehicle: MavlinkVehicle) -> tuple[Any, ...]:
@@ -124,13 +138,16 @@ def _origin(vehicle: MavlinkVehicle) -> tuple[Any, ...]:
 def _extended(vehicle: MavlinkVehicle) -> tuple[Any, ...]:
     pilot = vehicle.pilot
     flying = {Mode.TAKEOFF: TAKING_OFF, Mode.LAND: LANDING}.get(pilot.mode, IN_AIR)
-    return 0, ON_GROUND if pilot.has_landed else flying
+    return pilot.vtol_state, ON_GROUND if pilot.has_landed else flying
 
 
 def _hud(vehicle: MavlinkVehicle) -> tuple[Any, ...]:
     north, east, down = _velocity(vehicle)
     speed, altitude = math.hypot(north, east), _scaled_position(vehicle)[2] / 1000
-    return speed, speed, _heading(vehicle), 0, altitude, -down
+    wings = vehicle.wings
+    air = speed if wings is None else wings.airspeed(vehicle.pilot.state)
+    throttle = 0 if wings is None else round(100 * vehicle.throttle)
+    return air, speed, _heading(vehicle), throttle, altitude, -down
 
 
 def _altitude(vehicle: MavlinkVehicle) -> tuple[Any, ...]:

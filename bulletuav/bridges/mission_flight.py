@@ -9,6 +9,7 @@ from bulletuav.bridges.mavlink_items import (
     LOITER_UNLIMITED,
     POSITION_COMMANDS,
     compute_item_position,
+    read_item_radius,
 )
 from bulletuav.bridges.mavlink_missions import FENCE, MISSION
 from bulletuav.bridges.mavlink_protocol import Mode, RefusedError
@@ -20,6 +21,8 @@ MAX_DURATION = 3600.0
 """Default maximum duration of a flight, s"""
 HOLD_DISTANCE = 0.5
 """Distance from the position of an unlimited loiter at which the flight is over, m"""
+HOLD_RADII = 1.1
+"""That distance on wings, in radii of the loiter"""
 
 
 class ReachedItem(NamedTuple):
@@ -69,7 +72,7 @@ class MissionFlight:
             mission: Result of `read_mission`.
             airframe: Name, path of a URDF, or `Airframe`.
             speed: Speed of the legs, m/s, until the mission changes it; by default that of the
-                file, or 5 m/s.
+                file, or 5 m/s. On wings an airspeed, by default the cruise speed.
             max_duration: Time after which the flight ends, s.
             **options: Further options of `Airspace`, such as wind or layout.
 
@@ -89,6 +92,8 @@ class MissionFlight:
         self._vehicle.parameters.values["MIS_DIST_1WP"] = 0.0
         if chosen is not None:
             self._vehicle.parameters.values["MPC_XY_CRUISE"] = chosen
+        if speed is not None and self._vehicle.wings is not None:
+            self._vehicle.wings.chosen_speed = chosen
         try:
             self._vehicle.missions.replace(FENCE, mission.fence)
             self._vehicle.missions.replace(MISSION, mission.items)
@@ -160,7 +165,10 @@ class MissionFlight:
         if not route.is_over and route.items[route.current].command == LOITER_UNLIMITED:
             place = pilot.state[0]
             goal = compute_item_position(route.items[route.current], self._vehicle.site, place)
-            if math.dist(goal, place) < HOLD_DISTANCE:
+            # Wings circle the position
+            wings, item = self._vehicle.wings, route.items[route.current]
+            radius = 0.0 if wings is None else abs(read_item_radius(item)) or wings.radius
+            if math.dist(goal, place) < HOLD_DISTANCE + HOLD_RADII * radius:
                 return f"mission complete: loiters at item {route.current}"
         if self.fleet.time >= self._max_duration:
             return f"flight ended after {self._max_duration:g} s, at item {route.current}"

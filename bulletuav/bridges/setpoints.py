@@ -66,6 +66,20 @@ def make_airspace(
     return airspace
 
 
+def require_hovering(airframe: Airframe, server: str) -> None:
+    """Raise ValueError if an airframe cannot hover, as the commands of a server require.
+
+    Args:
+        airframe: Airframe of the drones.
+        server: Name of the server's clients in the message, such as "AirSim".
+    """
+    if not airframe.can_hover:
+        raise ValueError(
+            f"airframe is {airframe.name!r}, which cannot hover, as clients of {server} need: use "
+            f"'quadplane' or a multirotor, or fly it by 'bulletuav serve mavlink'"
+        )
+
+
 def get_states(swarm: Swarm) -> list[State]:
     """Return the states of all drones of a swarm, as lists of numbers."""
     arrays = (swarm.position, swarm.quaternion, swarm.velocity, swarm.rates)

@@ -139,9 +139,10 @@ def test_examples_of_cflib_run(example, cflib, drones, tmp_path):
 def mavsdk(tmp_path):
     """Flies vehicles by a version of MAVSDK; returns what it printed."""
 
-    def mavsdk(version, program, drones):
+    def mavsdk(version, program, drones, *words):
         place = environment(tmp_path / "venv", f"mavsdk=={version}")
         command = [sys.executable, "-m", "bulletuav", "serve", "mavlink", "--drones", str(drones)]
+        command += words
         with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=quiet()) as server:
             while "vehicles at" not in server.stdout.readline():
                 assert server.poll() is None
@@ -164,6 +165,13 @@ def mavsdk(tmp_path):
 @pytest.mark.slow
 def test_mavsdk_of_the_third_version_flies_two_vehicles(mavsdk):
     assert mavsdk("3.17.4", "mavsdk_grpc_client.py", 2).endswith("all flew\n")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("airframe", ["trainer", "quadplane"])
+def test_mavsdk_flies_on_wings(airframe, mavsdk):
+    words = ("--airframe", airframe, "--speed", "8")
+    assert mavsdk("3.17.4", "mavsdk_wings_client.py", 1, *words).endswith("flew\n")
 
 
 @pytest.mark.slow

@@ -39,6 +39,7 @@ def test_numbers_are_those_of_the_dialect():
         "ORBIT": common.MAV_CMD_DO_ORBIT,
         "SET_MODE": common.MAV_CMD_DO_SET_MODE,
         "CHANGE_SPEED": common.MAV_CMD_DO_CHANGE_SPEED,
+        "CHANGE_ALTITUDE": common.MAV_CMD_DO_CHANGE_ALTITUDE,
         "TERMINATE": common.MAV_CMD_DO_FLIGHTTERMINATION,
         "REPOSITION": common.MAV_CMD_DO_REPOSITION,
         "ROI_LOCATION": common.MAV_CMD_DO_SET_ROI_LOCATION,
@@ -59,6 +60,7 @@ def test_numbers_are_those_of_the_dialect():
         "GIMBAL_PITCHYAW": common.MAV_CMD_DO_GIMBAL_MANAGER_PITCHYAW,
         "GIMBAL_CONFIGURE": common.MAV_CMD_DO_GIMBAL_MANAGER_CONFIGURE,
         "REQUEST_CAPABILITIES": common.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES,
+        "VTOL_TRANSITION": common.MAV_CMD_DO_VTOL_TRANSITION,
     }
     assert {one.name: int(one) for one in mavlink_protocol.Command} == commands
     assert [int(one) for one in mavlink_protocol.CommandResult] == [
@@ -84,6 +86,15 @@ def test_numbers_are_those_of_the_dialect():
         common.MAV_CMD_DO_JUMP,
         common.MAV_CMD_DO_CHANGE_SPEED,
     )
+    assert mavlink_items.VTOL_COMMANDS[len(mavlink_items.SUPPORTED_COMMANDS) :] == (
+        common.MAV_CMD_NAV_LOITER_TURNS,
+        common.MAV_CMD_NAV_LOITER_TO_ALT,
+        common.MAV_CMD_DO_LAND_START,
+        common.MAV_CMD_NAV_VTOL_TAKEOFF,
+        common.MAV_CMD_NAV_VTOL_LAND,
+        common.MAV_CMD_DO_VTOL_TRANSITION,
+    )
+    assert mavlink_items.INVALID_PARAM3 == common.MAV_MISSION_INVALID_PARAM3
 
 
 # Arming and modes
