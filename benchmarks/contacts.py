@@ -22,10 +22,10 @@ import bulletuav
 from bulletuav.compiled.deferred import compile_deferred
 from bulletuav.dynamics import DYNAMICS, find_dynamics
 from bulletuav.tasks import find_task
-from bulletuav.vehicle.airframes import available_airframes
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
+from bench import MULTIROTORS
 from contact.heaps import drop_heap, slide, stack
 from contact.landings import PLACES, land
 from contact.pairs import KINDS, meet_in_pairs
@@ -65,7 +65,7 @@ class Sizes:
     def __init__(self, quick: bool) -> None:
         """Choose the sizes."""
         self.worlds = 100 if quick else 1000
-        self.airframes = ["cf2x", "iris"] if quick else available_airframes()
+        self.airframes = ["cf2x", "iris"] if quick else MULTIROTORS
         self.rates = [60, 240] if quick else [60, 120, 240, 500, 1000]
         self.landing_rates = [60, 240] if quick else [60, 120, 240, 500, 1000, 2000]
 

@@ -34,7 +34,7 @@ from bulletuav.policies.base import Policy
 from bulletuav.policies.find import find_policy
 from bulletuav.policies.run import POLICY, shipped, shipped_tasks
 from bulletuav.tasks.observations.observer import Observation
-from bulletuav.vehicle.airframes import available_airframes
+from bulletuav.vehicle.airframes import available_airframes, load_airframe
 from bulletuav.vehicle.swarm import Swarm
 from bulletuav.version import CONSTANTS
 
@@ -47,7 +47,7 @@ LATENCY = "latency"
 AXES: dict[str, tuple[Any, ...]] = {
     "difficulty": ("easy", "medium", "hard", "extreme"),
     "dynamics": DYNAMICS,
-    "airframe": tuple(available_airframes()),
+    "airframe": tuple(name for name in available_airframes() if not load_airframe(name).wings),
     "num_drones": (2, 4, 8, 16, 32),
     "wind": (0.0, 2.0, 4.0, 8.0),
     LATENCY: (0, 1, 2, 4),
