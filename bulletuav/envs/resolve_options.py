@@ -248,6 +248,9 @@ def _fit_forward_flight(
             f"take_off is True, and airframe {name!r} cannot take off from its start: leave "
             f"take_off out, and it starts in flight"
         )
+    # Sizes are computed from these before all options are checked
+    for option in ("num_drones", "horizon", "decision_hz", "max_speed"):
+        finite(option, values[option])
     preset = task.presets.get(given.get("preset") or "", {})
     # The name of a reward has become weights
     kept = {name: values[name] for name in (*preset, *given) if name in values}

@@ -5,6 +5,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from bulletuav.engine.engine import Engine
 from bulletuav.geometry.quaternions import rotate_vectors
 from bulletuav.registry import register
 from bulletuav.sensors.base import Image, Label, Moment, Sensor, SensorSetup, Uncertain
@@ -59,20 +60,28 @@ class Airspeed(Sensor):
             "airspeed": (Label("airspeed", "m/s", 0.0, MAX_AIRSPEED),),
         }
 
+    def attach(self, setup: SensorSetup, engine: Engine) -> None:
+        """Allocate the readings."""
+        super().attach(setup, engine)
+        self._pressure, self._airspeed = np.zeros((2, *setup.shape))
+
     def measure(self, moment: Moment) -> Mapping[str, np.ndarray]:
-        """Measure pressure and airspeed.
+        """Measure pressure and airspeed of the drones in the mask; other readings do not change.
 
         Each world draws from its own generator if its noise is above 0.
         """
-        uncertain = np.any(self.noise > 0, axis=1)
-        normal, _ = moment._replace(mask=moment.mask & uncertain[:, None]).draw()
+        mask, uncertain = moment.mask, np.any(self.noise > 0, axis=1)
+        normal, _ = moment._replace(mask=mask & uncertain[:, None]).draw()
         ahead = rotate_vectors(moment.after.quaternion, np.array((1.0, 0.0, 0.0)))
         air = moment.after.velocity
         if moment.wind is not None:
             air = air - moment.wind
         speed = np.maximum((ahead * air).sum(axis=-1), 0.0)
         error = self.bias + self.noise * normal[..., 0]
-        pressure = 0.5 * DENSITY * speed * speed + error
-        pressure = np.clip(pressure, -MAX_PRESSURE, MAX_PRESSURE)
-        indicated = np.sqrt(np.maximum(pressure, 0.0) * (2.0 / DENSITY))
-        return {"differential_pressure": pressure, "airspeed": indicated}
+        pressure = (0.5 * DENSITY * speed * speed + error)[mask]
+        self._pressure[mask] = np.clip(pressure, -MAX_PRESSURE, MAX_PRESSURE)
+        self._airspeed[mask] = np.sqrt(np.maximum(self._pressure[mask], 0.0) * (2.0 / DENSITY))
+        return {
+            "differential_pressure": self._pressure.copy(),
+            "airspeed": self._airspeed.copy(),
+        }

@@ -17,7 +17,7 @@ from bulletuav.tasks.frame import Frame, Spawn, TaskContext
 from bulletuav.tasks.ingredients import end, reward
 from bulletuav.tasks.parts.airspace import clearance
 from bulletuav.tasks.parts.base import Rngs
-from bulletuav.tasks.parts.forward_flight import DETOUR, TURN_MARGIN, tightest_turn
+from bulletuav.tasks.parts.forward_flight import DETOUR, TURN_MARGIN, kept_number, tightest_turn
 from bulletuav.tasks.parts.safety import Safety
 from bulletuav.tasks.parts.waiting import decisions_waited
 from bulletuav.vehicle.airframe import Airframe
@@ -248,9 +248,9 @@ class LandingStrip(Task[LandingStripConfig]):
         """Return touchdown speed, distance and horizon; see the base class."""
         slowest = max(find_envelope(one).min_speed for one in airframes)
         radius = tightest_turn(airframes)
-        usual = float(values.get("distance", LandingStripConfig.distance))
+        usual = kept_number(values, "distance", LandingStripConfig.distance)
         distance = max(usual, 5 * TURN_MARGIN * radius)
-        spacing = float(values.get("spacing", LandingStripConfig.spacing))
+        spacing = kept_number(values, "spacing", LandingStripConfig.spacing)
         farthest = distance + int(values["num_drones"]) * spacing
         duration = DETOUR * farthest / slowest
         return {
