@@ -15,7 +15,7 @@ from bulletuav.compiled.plain import record_type
 from bulletuav.control.gains import FASTEST_ATTITUDE, exact_pseudo_inverse
 from bulletuav.vehicle.airframe import MAX_ROTORS, STANDARD_GRAVITY, Airframe
 from bulletuav.vehicle.envelope import find_envelope, find_trim
-from bulletuav.vehicle.wing_power import STALL_MARGIN
+from bulletuav.vehicle.wing_power import STALL_MARGIN, trim_thrust
 from bulletuav.vehicle.wings import MAX_SURFACES, wing_rows
 
 AUTOPILOT_MEMORY = 30
@@ -191,7 +191,7 @@ def _write_row(row: np.record, wing: np.record, airframe: Airframe, max_speed: f
     row["alpha"] = _line(slow, one.alpha, fast, other.alpha)
     limit = STALL_MARGIN * envelope.stall_speed
     row["max_alpha"] = row["alpha"][0] + row["alpha"][1] / limit**2
-    thrusts = [_trim_thrust(airframe, trim.speed, trim.airspeed) for trim in (one, other)]
+    thrusts = [trim_thrust(airframe, trim) for trim in (one, other)]
     # D / V^2 = a + b / V^4
     parasitic, induced = _line(slow**2, thrusts[0] / slow**2, fast**2, thrusts[1] / fast**2)
     row["drag"] = parasitic, induced
@@ -212,13 +212,6 @@ def _line(slow: float, one: float, fast: float, other: float) -> tuple[float, fl
     """Return a and b of a + b / V^2 with given values at two speeds."""
     slope = (one - other) / (1 / slow**2 - 1 / fast**2)
     return one - slope / slow**2, slope
-
-
-def _trim_thrust(airframe: Airframe, speeds: Sequence[float], airspeed: float) -> float:
-    """Return the thrust of the forward rotors at an airspeed, N."""
-    used = [speeds[k] for k in airframe.forward_rotors]
-    factor = airframe.thrust_coefficient
-    return sum(factor * one * one - airframe.drag_z * one * airspeed for one in used)
 
 
 def _surface_torque(row: np.record, wing: np.record) -> np.ndarray:

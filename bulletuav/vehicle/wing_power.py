@@ -126,19 +126,22 @@ def wing_power(airframe: Airframe) -> WingPower:
     )
 
 
+def trim_thrust(airframe: Airframe, trim: Trim) -> float:
+    """Return the thrust of the forward rotors in a steady flight, k_f w^2 - k_z V w each, N."""
+    used = [trim.speed[k] for k in airframe.forward_rotors]
+    factor = airframe.thrust_coefficient
+    return sum(factor * one * one - airframe.drag_z * one * trim.airspeed for one in used)
+
+
 def level_drag(airframe: Airframe, trim: Trim) -> float:
-    """Compute the thrust of the forward rotors in a steady level flight, which equals the drag, N.
+    """Compute the drag in a steady flight: thrust less the weight along the flight path, N.
 
     Args:
         airframe: An aircraft with wings.
         trim: Its steady flight.
     """
-    total = 0.0
-    for k in airframe.forward_rotors:
-        speed = trim.speed[k]
-        total += airframe.thrust_coefficient * speed * speed
-        total -= airframe.drag_z * speed * trim.airspeed
-    return total - airframe.mass * STANDARD_GRAVITY * sin(trim.climb)
+    thrust = trim_thrust(airframe, trim)
+    return thrust - airframe.mass * STANDARD_GRAVITY * sin(trim.climb)
 
 
 @func
