@@ -54,7 +54,7 @@ def test_wind_counts_and_air_from_behind_does_not():
 
 
 def test_a_bias_of_pressure_matters_at_low_speed():
-    """2 Pa are 1.81 m/s at rest, 0.13 m/s at 12 m/s; a negative pressure indicates 0."""
+    """2 Pa are 1.81 m/s at rest, 0.14 m/s at 12 m/s; a negative pressure indicates 0."""
     biased = exact(bias=2.0)
     assert read((0.0, 0.0, 0.0), sensor=biased) == pytest.approx((2.0, math.sqrt(4 / 1.225)))
     assert read((12.0, 0.0, 0.0), sensor=biased)[1] == pytest.approx(12.0 + 0.1353, abs=1e-4)

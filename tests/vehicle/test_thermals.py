@@ -58,9 +58,10 @@ def test_velocity_of_the_middle_by_hand():
 
 
 def test_velocity_inside_by_hand():
-    """20 m from the middle at half the depth, inside r1 = 24.7 m: 0.9279 of the peak."""
+    """20 m from the middle at half the depth, inside r1 = 24.7 m: 0.9643 of the peak."""
     place = 20.0 / 99.17288
     bell = 1 / (1 + (1.5265 * (place - 0.0176)) ** 3.6054) - 0.1265 * place
+    assert bell == pytest.approx(0.9643, abs=5e-5)
     assert velocity(20.0, 700.0) == pytest.approx(2.043067 * bell, rel=2e-6)
 
 
