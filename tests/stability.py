@@ -56,7 +56,7 @@ def level_lift(airframe, airspeed, load=1.0):
 
 
 def derivatives(airframe, airspeed):
-    """Dimensional derivatives of the longitudinal motion, stability axes, z down (Nelson, 3.5)."""
+    """Dimensional longitudinal derivatives, stability axes, z down (Nelson, chapter 3)."""
     wing, tail = wings_of(airframe)
     at = reference(airframe)
     lift = level_lift(airframe, airspeed)
@@ -111,7 +111,7 @@ def modes(matrix):
 
 
 def short_period(airframe, airspeed):
-    """Frequency (rad/s) and damping ratio by the approximation of Nelson, equation 4.72."""
+    """Frequency (rad/s) and damping ratio by Nelson's approximation (chapter 4)."""
     d = derivatives(airframe, airspeed)
     frequency = math.sqrt(d.z_w * d.m_q - airspeed * d.m_w)
     return frequency, -(d.z_w + d.m_q) / (2 * frequency)

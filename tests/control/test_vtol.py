@@ -94,8 +94,10 @@ def test_it_stops_while_it_descends(descent):
     trace(bench, VELOCITY, (FAST, 0, 0, 0), 12)
     position, velocity = trace(bench, VELOCITY, (0, 0, descent, 0), 20)
     np.testing.assert_allclose(velocity[-1], (0, 0, descent), atol=0.3)
-    # A level stop takes 60 m
-    assert position[-1, 0] - position[0, 0] < 100
+    # A level stop takes 61 m
+    assert position[-1, 0] - position[0, 0] < 67
+    commanded = position[0, 2] + descent * DECISION * np.arange(len(position))
+    assert np.abs(position[:, 2] - commanded).max() < 16.5
     assert velocity[:, 2].min() > descent - 1
 
 

@@ -89,6 +89,13 @@ def test_strip_theory_has_more_roll_damping_than_the_lifting_line():
     assert helmbold_slope(7.22) / 6 == pytest.approx(1.40 * line, rel=0.01)
 
 
+def test_strip_theory_has_more_effect_of_ailerons_than_the_lifting_line():
+    """Ailerons along the whole span: 1.195 against 0.919 times their shift of the angle."""
+    line = math.pi * 7.22 * lifting_line(7.22, np.sign)[1] / 4
+    assert line == pytest.approx(0.919, abs=1e-3)
+    assert helmbold_slope(7.22) / 4 == pytest.approx(1.30 * line, rel=0.01)
+
+
 def test_effects_of_multirotors_are_off():
     for airframe in (TRAINER, QUADPLANE):
         assert airframe.damping == (0, 0, 0)
