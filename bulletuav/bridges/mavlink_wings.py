@@ -50,7 +50,7 @@ LOWEST_APPROACH, APPROACH_HEIGHT = 5.0, 20.0
 """Limits of the height above the landing point at which an approach begins, m"""
 APPROACH_SPEED = 1.3 / 1.2
 """Airspeed of an approach relative to the minimum airspeed, 1.2 stall speeds: 1.3 stall speeds, as
-in 14 CFR 23.73"""
+in 14 CFR 23.73 until 2017"""
 FLARE_HEIGHT, FLARE_SINK = 2.0, 0.25
 """Height at which a vehicle flares, m, and its commanded sink rate then, m/s (FW_LND_FL_SINK)"""
 FLARE_TIME = 3.5

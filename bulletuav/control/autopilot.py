@@ -38,7 +38,7 @@ HELD = 14
 LOITER_BANK = 0.5
 """Turn rate of a loiter relative to the largest turn rate"""
 L1_DAMPING = 0.75
-"""Damping ratio of the L1 guidance: default of PX4 and ArduPilot"""
+"""Damping ratio of the L1 guidance: default of NAVL1_DAMPING of ArduPilot"""
 COURSE_RATIO = 3.0
 """Frequency of the roll loop relative to the rate at which course errors decay"""
 

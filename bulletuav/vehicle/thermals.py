@@ -34,8 +34,8 @@ SHAPES = np.array(
         [0.6189, 42.7965, 0.7157, -0.0033],
     ]
 )
-"""Allen's constants k1 to k4 of the velocity across a thermal, for ratios of inner to outer radius
-of 0.14, 0.25, ... 0.80.
+"""Constants k1 to k4 of the velocity across a thermal, for ratios of inner to outer radius of 0.14,
+0.25, ... 0.80, as in the computer code that is the appendix of Allen's report.
 """
 MIN_RATIO, RATIO_STEP = 0.14, 0.11
 """First ratio of `SHAPES`, and the step to the next one."""

@@ -37,8 +37,8 @@ PANEL_POINT = 0.5 / math.sqrt(3.0)
 FLAT_PLATE_DRAG = 1.98
 """Normal force coefficient of a long flat plate at right angles to the flow (Hoerner 1965)."""
 FLAP_EFFICIENCY = 0.7
-"""Viscous efficiency of control surfaces; in Khan and Nahon it falls from 0.8 to 0.4 with the
-deflection."""
+"""Viscous efficiency of control surfaces; in Khan and Nahon it falls from 0.8 at 10 degrees to 0.4
+at 60, and is 0.7 at 23 degrees."""
 STALL_SHIFT = 0.5
 """Fraction of a flap's shift of the zero-lift angle by which it shifts the stall angle (our choice:
 a flap raises the maximum lift by half of what it adds at small angles)"""
@@ -301,8 +301,8 @@ def panel_coefficients(
         along = 0.5 * wing.drag[p] * cosine
         plate_lift = across * cosine - along * sine
         plate_drag = across * sine + along * cosine
-        # The centre of pressure moves from the quarter chord to three quarters, as the air turns
-        # from ahead to behind
+        # The centre of pressure moves from 0.325 to 0.675 of the chord, as the air turns from ahead
+        # to behind. Khan and Nahon have 2 / pi times the angle in place of the sine
         turn = where(cosine > 0.0, 0.175, -0.175)
         plate_pitch = across * (turn * (1.0 - size) - 0.25)
         # Smooth step from attached to separated flow
