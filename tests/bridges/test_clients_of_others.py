@@ -1,6 +1,7 @@
-"""Clients that others wrote fly our drones, unmodified; run by hand (`-m slow`).
+"""Clients that others wrote fly our drones, unmodified; run by hand (`-m slow -n 0`).
 
-Each is installed into an environment of its own, apart from the package.
+Each is installed into an environment of its own, apart from the package. Servers share ports, so
+one test runs at a time.
 """
 
 import contextlib
