@@ -55,14 +55,18 @@ class Station:
         return self.index + 1, 1
 
     @property
+    def vehicle(self):
+        return self.fleet.services[self.index].vehicle
+
+    @property
     def pilot(self):
-        return self.fleet.services[self.index].vehicle.pilot
+        return self.vehicle.pilot
 
     @property
     def place(self):
         """North, east, down of its start."""
         x, y, z = self.pilot.state[0]
-        sx, sy, sz = self.fleet.services[self.index].vehicle.site.start
+        sx, sy, sz = self.vehicle.site.start
         return np.array((y - sy, x - sx, sz - z))
 
     def hear(self, told):
@@ -113,16 +117,30 @@ class Station:
         """Arm, take off, and wait until it holds."""
         assert self.command(400, 1)[0] == ACCEPTED
         if height is not None:
-            height += self.fleet.services[self.index].vehicle.site.altitude
+            height += self.vehicle.site.altitude
         assert self.command(22, 0, 0, 0, NAN, NAN, NAN, height or NAN)[0] == ACCEPTED
         self.fly(5.0)
 
     def spot(self, north, east):
         """Tell latitude and longitude, 1e-7 deg, of a place north and east of the start."""
-        site = self.fleet.services[self.index].vehicle.site
+        site = self.vehicle.site
         sx, sy, sz = site.start
         latitude, longitude, _ = site.origin.to_geodetic((sx + east, sy + north, sz))
         return round(latitude * 1e7), round(longitude * 1e7)
+
+    def degrees(self, north, east):
+        """Return latitude and longitude, deg, of a place north and east of the start."""
+        return [value * 1e-7 for value in self.spot(north, east)]
+
+    def set_parameter(self, name, value):
+        is_int = isinstance(value, int)
+        packed = np.array(value, np.int32).view(np.float32).item() if is_int else value
+        fields = (name.encode(), packed, 6 if is_int else 9)
+        (reply,) = self.send("param_set", *self.target, *fields)
+        assert reply.param_value == packed
+
+    def sticks(self, pitch=0, roll=0, throttle=500, yaw=0):
+        return self.send("manual_control", 1, pitch, roll, throttle, yaw, 0)
 
     def upload(self, items, kind=0):
         """Upload items (frame, command, 4 parameters, x, y, z); return the code of the answer."""

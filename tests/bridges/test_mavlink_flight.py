@@ -126,7 +126,7 @@ def test_take_off_goes_to_an_altitude_above_the_sea(station):
 
 
 def test_who_does_not_take_off_is_disarmed(station):
-    station.send("param_set", *station.target, b"COM_DISARM_PRFLT", 2.0, 9)
+    station.set_parameter("COM_DISARM_PRFLT", 2.0)
     station.command(400, 1)
     station.fly(1.5)
     assert station.pilot.is_armed
@@ -271,7 +271,7 @@ def test_accelerations_push(station):
 
 def test_a_place_on_the_earth_is_flown_to(station):
     station.take_off()
-    altitude = station.fleet.services[0].vehicle.site.altitude
+    altitude = station.vehicle.site.altitude
 
     def go():
         fields = (*station.spot(3.0, 2.0), altitude + 4.0, *[0.0] * 8)
@@ -289,7 +289,7 @@ def test_a_place_on_the_earth_is_flown_to(station):
 
 def test_attitudes_and_rates_are_followed(station):
     station.take_off()
-    hover = station.fleet.services[0].vehicle.parameters.values["MPC_THR_HOVER"]
+    hover = station.vehicle.parameters.values["MPC_THR_HOVER"]
     x, y, z, w = Rotation.from_euler("ZYX", (0.3, -0.1, 0.05)).as_quat()
 
     def lean():
@@ -374,11 +374,11 @@ def test_a_second_client_cannot_fly_it_meanwhile(station):
 
 
 def test_it_returns_and_lands_at_home(station):
-    for name, value in (("RTL_RETURN_ALT", 5.0), ("RTL_DESCEND_ALT", 2.0)):
-        station.send("param_set", *station.target, name.encode(), value, 9)
+    station.set_parameter("RTL_RETURN_ALT", 5.0)
+    station.set_parameter("RTL_DESCEND_ALT", 2.0)
     station.take_off()
     latitude, longitude = station.spot(6.0, 3.0)
-    site = station.fleet.services[0].vehicle.site
+    site = station.vehicle.site
     place = (latitude, longitude, site.altitude + 3.0)
     fields = (5, 192, 0, 0, -1, 1, 0, NAN, *place)
     (ack,) = station.send("command_int", *station.target, *fields)
@@ -419,8 +419,8 @@ def test_it_pauses_where_it_is(station):
 
 def test_positions_outside_the_fence_are_refused_and_velocities_stop_there(station):
     station.take_off()
-    station.send("param_set", *station.target, b"GF_MAX_HOR_DIST", 4.0, 9)
-    station.send("param_set", *station.target, b"GF_MAX_VER_DIST", 5.0, 9)
+    station.set_parameter("GF_MAX_HOR_DIST", 4.0)
+    station.set_parameter("GF_MAX_VER_DIST", 5.0)
     (said,) = texts(station.position(5.0, 0.0, -2.0))
     assert said == "setpoint is outside GF_MAX_HOR_DIST of 4 m"
     result, more = station.command(22, 0, 0, 0, NAN, NAN, NAN, 600.0)
@@ -439,9 +439,8 @@ def test_positions_outside_the_fence_are_refused_and_velocities_stop_there(stati
 
 
 def test_the_fence_may_send_it_home(station):
-    for name, value, kind in (("GF_ACTION", 3, 6), ("GF_MAX_HOR_DIST", 3.0, 9)):
-        packed = np.array(value, np.int32).view(np.float32).item() if kind == 6 else value
-        station.send("param_set", *station.target, name.encode(), packed, kind)
+    station.set_parameter("GF_ACTION", 3)
+    station.set_parameter("GF_MAX_HOR_DIST", 3.0)
     station.take_off()
     station.velocity(1.5, 0, 0)
     station.mode(OFFBOARD)

@@ -28,13 +28,6 @@ POSITION, ALTITUDE, FOLLOW = (3, 0), (2, 0), (4, 8)
 RALLY = 2
 
 
-def set_parameter(station, name, value):
-    is_int = isinstance(value, int)
-    packed = np.array(value, np.int32).view(np.float32).item() if is_int else value
-    (reply,) = station.send("param_set", *station.target, name.encode(), packed, 6 if is_int else 9)
-    assert reply.param_value == packed
-
-
 def heading(station):
     """Heading of a vehicle, degrees clockwise from north."""
     (hud,) = station.command(512, 74)[1]
@@ -45,8 +38,8 @@ def heading(station):
 
 
 def orbit(station, radius, speed, behavior, north, east, altitude=NAN, angle=0.0):
-    x, y = (value * 1e-7 for value in station.spot(north, east))
-    return station.command(34, radius, speed, behavior, angle, x, y, altitude)
+    place = station.degrees(north, east)
+    return station.command(34, radius, speed, behavior, angle, *place, altitude)
 
 
 @pytest.mark.parametrize("radius", [5.0, -5.0])
@@ -97,7 +90,7 @@ def test_an_orbit_has_no_end(station):
 def test_an_orbit_needs_a_flying_vehicle_and_a_circle_inside_the_fence(station):
     assert orbit(station, 5.0, 2.0, 0, 8.0, 0.0)[0] == REJECTED
     station.take_off(4.0)
-    set_parameter(station, "GF_MAX_HOR_DIST", 20.0)
+    station.set_parameter("GF_MAX_HOR_DIST", 20.0)
     assert orbit(station, 5.0, 2.0, 0, 40.0, 0.0)[0] == DENIED
     # The nearest point of the circle is inside, the farthest is not
     result, more = orbit(station, 6.0, 2.0, 0, 15.0, 0.0)
@@ -118,7 +111,7 @@ def follow_target(station, north, east, altitude, velocity=(0.0, 0.0, 0.0)):
 def test_it_follows_behind_a_moving_target_and_faces_it(station):
     station.take_off(8.0)
     station.fly(3.0)
-    set_parameter(station, "FLW_TGT_DST", 4.0)
+    station.set_parameter("FLW_TGT_DST", 4.0)
     assert station.mode(FOLLOW) == ACCEPTED
     station.fly(1.0)
     np.testing.assert_allclose(station.place, (0, 0, -8), atol=0.2)  # no target yet
@@ -133,7 +126,7 @@ def test_it_follows_behind_a_moving_target_and_faces_it(station):
     np.testing.assert_allclose(station.place, (6, target_east - 4, -8), atol=0.6)
     assert abs(math.remainder(heading(station) - 90, 360)) < 10
     # Above a target of that altitude, and never on the ground
-    set_parameter(station, "FLW_TGT_ALT_M", 2)
+    station.set_parameter("FLW_TGT_ALT_M", 2)
     station.fly(8.0, move)
     assert station.place[2] == pytest.approx(-1.0, abs=0.2)
     assert station.mode(HOLD) == ACCEPTED
@@ -141,7 +134,7 @@ def test_it_follows_behind_a_moving_target_and_faces_it(station):
 
 def test_it_waits_for_a_target_that_is_lost(station):
     station.take_off(8.0)
-    set_parameter(station, "FLW_TGT_DST", 4.0)
+    station.set_parameter("FLW_TGT_DST", 4.0)
     station.mode(FOLLOW)
     follow_target(station, 4.0, 0.0, 480.0, (3.0, 0.0, 0.0))
     assert texts(station.fly(2.9)) == []
@@ -158,33 +151,29 @@ def test_it_waits_for_a_target_that_is_lost(station):
 # Manual control
 
 
-def sticks(station, pitch=0, roll=0, throttle=500, yaw=0):
-    return station.send("manual_control", 1, pitch, roll, throttle, yaw, 0)
-
-
 def test_sticks_take_off_fly_hold_and_land(station):
     assert station.mode(POSITION) == REJECTED  # no sticks yet
-    sticks(station)
+    station.sticks()
     assert station.mode(POSITION) == ACCEPTED
     assert station.command(400, 1)[0] == ACCEPTED
-    station.fly(3.0, lambda: sticks(station, throttle=1000))
+    station.fly(3.0, lambda: station.sticks(throttle=1000))
     assert station.place[2] < -4
-    station.fly(3.0, lambda: sticks(station, pitch=300))
+    station.fly(3.0, lambda: station.sticks(pitch=300))
     assert 3 < station.place[0] < 8
-    station.fly(3.0, lambda: sticks(station))  # brakes
+    station.fly(3.0, station.sticks)  # brakes
     stop = station.place
-    station.fly(2.0, lambda: sticks(station))
+    station.fly(2.0, station.sticks)
     np.testing.assert_allclose(station.place, stop, atol=0.05)
-    station.fly(1.0, lambda: sticks(station, yaw=300))
+    station.fly(1.0, lambda: station.sticks(yaw=300))
     assert 25 < heading(station) < 60
-    station.fly(12.0, lambda: sticks(station, throttle=0))
+    station.fly(12.0, lambda: station.sticks(throttle=0))
     assert station.pilot.has_landed
     assert not station.pilot.is_armed
 
 
 def test_it_holds_when_sticks_are_lost(station):
     station.take_off(4.0)
-    sticks(station)
+    station.sticks()
     station.mode(POSITION)
     heard = station.fly(1.0)
     assert "no manual control: hold" in texts(heard)
@@ -194,34 +183,34 @@ def test_it_holds_when_sticks_are_lost(station):
 def test_altitude_mode_tilts_and_keeps_its_height(make_vehicles):
     station = Station(make_vehicles(1, wind=(2.0, 0.0, 0.0)))
     station.take_off(4.0)
-    sticks(station)
+    station.sticks()
     assert station.mode(ALTITUDE) == ACCEPTED
     start = station.place
-    station.fly(4.0, lambda: sticks(station))
+    station.fly(4.0, station.sticks)
     assert station.place[1] > start[1] + 0.5  # drifts with the wind
     assert station.place[2] == pytest.approx(start[2], abs=0.3)
-    station.fly(1.0, lambda: sticks(station, roll=500))
+    station.fly(1.0, lambda: station.sticks(roll=500))
     (attitude,) = station.command(512, 30)[1]
     assert math.degrees(attitude.roll) == pytest.approx(17.5, abs=2)
 
 
 def test_sticks_beyond_their_range_count_as_centred(station):
     station.take_off(4.0)
-    sticks(station)
+    station.sticks()
     station.mode(POSITION)
-    station.fly(2.0, lambda: sticks(station, pitch=2000, roll=-(2**15), yaw=2**15 - 1))
+    station.fly(2.0, lambda: station.sticks(pitch=2000, roll=-(2**15), yaw=2**15 - 1))
     np.testing.assert_allclose(station.place, (0, 0, -4), atol=0.2)
 
 
 def test_a_second_client_does_not_fly_meanwhile(station):
     station.take_off(4.0)
     other = Station(station.fleet, system=254, link="there")
-    sticks(station)
-    (said,) = texts(sticks(other, pitch=1000))
+    station.sticks()
+    (said,) = texts(other.sticks(pitch=1000))
     assert said == "setpoints denied: another client sends setpoints"
     assert station.pilot.sticks.pitch == 0
     station.fly(1.0)
-    assert sticks(other, pitch=1000) == []
+    assert other.sticks(pitch=1000) == []
     assert station.pilot.sticks.pitch == 1
 
 
@@ -233,12 +222,11 @@ def test_it_returns_to_the_nearest_rally_point(station):
     assert station.upload(points, RALLY) == 0
     (count,) = station.send("mission_request_list", *station.target, RALLY)
     assert count.count == 2
-    set_parameter(station, "RTL_RETURN_ALT", 5.0)
-    set_parameter(station, "RTL_DESCEND_ALT", 5.0)
+    station.set_parameter("RTL_RETURN_ALT", 5.0)
+    station.set_parameter("RTL_DESCEND_ALT", 5.0)
     station.take_off(4.0)
     station.send("set_mode", 1, 1, 4 << 16 | 3 << 24)
-    x, y = (value * 1e-7 for value in station.spot(8.0, 0.0))
-    station.command(192, -1, 0, 0, NAN, x, y, NAN)
+    station.command(192, -1, 0, 0, NAN, *station.degrees(8.0, 0.0), NAN)
     station.fly(6.0)
     assert station.mode(RETURN) == ACCEPTED
     station.fly(20.0)
@@ -248,7 +236,7 @@ def test_it_returns_to_the_nearest_rally_point(station):
 
 def test_rally_points_are_rally_points_inside_the_fence(station):
     assert station.upload([station.waypoint(3.0, 0.0, 3.0)], RALLY) == 3
-    set_parameter(station, "GF_MAX_HOR_DIST", 20.0)
+    station.set_parameter("GF_MAX_HOR_DIST", 20.0)
     assert station.upload([(3, 5100, 0, 0, 0, 0, *station.spot(30.0, 0.0), 5.0)], RALLY) == 1
     assert station.pilot.rally_points == []
 
@@ -258,7 +246,7 @@ def test_rally_points_are_rally_points_inside_the_fence(station):
 
 def test_failures_need_a_parameter_and_a_unit_that_can_fail(station):
     assert station.command(420, MOTOR, 1, 1)[0] == DENIED
-    set_parameter(station, "SYS_FAILURE_EN", 1)
+    station.set_parameter("SYS_FAILURE_EN", 1)
     assert station.command(420, 102, 1, 0)[0] == UNSUPPORTED  # a servo
     assert station.command(420, MOTOR, 2, 1)[0] == UNSUPPORTED  # stuck
     assert station.command(420, MOTOR, 1, 5)[0] == DENIED
@@ -268,7 +256,7 @@ def test_failures_need_a_parameter_and_a_unit_that_can_fail(station):
 
 
 def test_a_motor_that_fails_stops_and_is_repaired(station):
-    set_parameter(station, "SYS_FAILURE_EN", 1)
+    station.set_parameter("SYS_FAILURE_EN", 1)
     station.take_off(4.0)
     assert station.command(420, MOTOR, 1, 2)[0] == ACCEPTED
     frame, speeds = station.fleet.airspace.airframes[0], station.fleet.airspace.swarm.rotor_speed
@@ -284,7 +272,7 @@ def test_a_motor_that_fails_stops_and_is_repaired(station):
 
 def test_without_gps_it_lands_where_the_wind_takes_it(make_vehicles):
     station = Station(make_vehicles(1, wind=(2.0, 0.0, 0.0)))
-    set_parameter(station, "SYS_FAILURE_EN", 1)
+    station.set_parameter("SYS_FAILURE_EN", 1)
     station.take_off(4.0)
     start = station.place[1]
     result, _ = station.command(420, GPS, 1, NAN)
@@ -306,8 +294,8 @@ def test_without_gps_it_lands_where_the_wind_takes_it(make_vehicles):
 
 @pytest.mark.parametrize(("action", "mode"), [(0, Mode.HOLD), (2, Mode.LAND), (3, Mode.RETURN)])
 def test_an_empty_battery_does_what_a_parameter_says(action, mode, station):
-    set_parameter(station, "SYS_FAILURE_EN", 1)
-    set_parameter(station, "COM_LOW_BAT_ACT", action)
+    station.set_parameter("SYS_FAILURE_EN", 1)
+    station.set_parameter("COM_LOW_BAT_ACT", action)
     station.take_off(4.0)
     assert station.command(420, BATTERY, 1, 0)[0] == ACCEPTED
     assert "battery is empty" in texts(station.fly(0.1))
@@ -317,7 +305,7 @@ def test_an_empty_battery_does_what_a_parameter_says(action, mode, station):
 
 
 def test_an_empty_battery_prevents_arming(station):
-    set_parameter(station, "SYS_FAILURE_EN", 1)
+    station.set_parameter("SYS_FAILURE_EN", 1)
     assert station.command(420, BATTERY, 1, 0)[0] == ACCEPTED
     result, more = station.command(400, 1)
     assert (result, texts(more)) == (REJECTED, ["arming denied: battery is empty"])
@@ -447,7 +435,7 @@ def test_a_locked_yaw_stays_while_the_vehicle_turns(station):
 def test_the_gimbal_looks_at_a_position(station):
     station.take_off(10.0)
     station.fly(4.0)
-    x, y = (value * 1e-7 for value in station.spot(0.0, 10.0))
+    x, y = station.degrees(0.0, 10.0)
     assert station.command(195, 0, 0, 0, 0, x, y, station.fleet.origin.altitude)[0] == ACCEPTED
     station.fly(0.1)
     assert gimbal_angles(station) == pytest.approx((-45, 90), abs=1.5)

@@ -229,7 +229,7 @@ def test_it_jumps_to_an_item(station):
 
 @pytest.mark.parametrize("last", ["land", "return"])
 def test_a_mission_ends_on_the_ground(last, station):
-    station.send("param_set", *station.target, b"RTL_RETURN_ALT", 3.0, 9)
+    station.set_parameter("RTL_RETURN_ALT", 3.0)
     end = station.waypoint(0.0, 3.0, 0.0, command=21) if last == "land" else (2, 20, *[0] * 7)
     station.upload([station.waypoint(3.0, 0.0, 3.0), end])
     station.command(400, 1)

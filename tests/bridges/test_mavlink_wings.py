@@ -30,6 +30,7 @@ from bulletuav.control.fixed_wing import SPEED_RATE
 from bulletuav.control.setpoint import SetpointLevel
 
 TRANSITION, TO_ROTORS, TO_WINGS = 3000, 3, 4
+POSITION = (3, 0)
 STILL = [0.0, 0.0, 0.0]
 
 
@@ -44,12 +45,12 @@ def quadplane(make_vehicles):
 
 
 def wings_of(station):
-    return station.fleet.services[0].vehicle.wings
+    return station.vehicle.wings
 
 
 def lift(station, height=40.0, speed=11.0):
     """Arm a fixed wing, and place it in level flight to the north; it loiters."""
-    low = station.fleet.services[0].vehicle.site.altitude + 10.0
+    low = station.vehicle.site.altitude + 10.0
     assert station.command(22, 0, 0, 0, NAN, NAN, NAN, low)[0] == ACCEPTED
     assert station.command(400, 1)[0] == ACCEPTED
     station.fly(0.1)
@@ -133,7 +134,7 @@ def test_a_fixed_wing_takes_off_and_loiters(trainer):
     assert (extended.vtol_state, extended.landed_state) == (0, 2)
     east, north, _ = trainer.pilot._motion.center
     found = distances(trainer, north, east, 25.0)[200:]
-    radius = trainer.fleet.services[0].vehicle.parameters.values["NAV_LOITER_RAD"]
+    radius = trainer.vehicle.parameters.values["NAV_LOITER_RAD"]
     np.testing.assert_allclose(found, radius, atol=1.0)
     assert trainer.place[2] == pytest.approx(-25.0, abs=1.0)
     hud = messages(trainer.fly(1.0), "VFR_HUD")[-1]
@@ -142,7 +143,7 @@ def test_a_fixed_wing_takes_off_and_loiters(trainer):
 
 
 def test_a_launcher_helps_without_a_runway(trainer):
-    trainer.send("param_set", *trainer.target, b"RWTO_TKOFF", 0.0, 6)
+    trainer.set_parameter("RWTO_TKOFF", 0)
     trainer.command(22, 0, 0, 0, NAN, NAN, NAN, NAN)
     trainer.command(400, 1)
     trainer.fly(0.5)
@@ -203,14 +204,14 @@ def test_a_landing_ends_near_its_point(trainer):
 
 
 def test_it_holds_goes_to_places_and_changes_height_and_speed(trainer):
-    lift(trainer, 40.0)
-    altitude = trainer.fleet.services[0].vehicle.site.altitude
+    lift(trainer)
+    altitude = trainer.vehicle.site.altitude
     assert trainer.command(178, 0, 14.0, -1)[0] == ACCEPTED
     assert trainer.command(186, 45.0, 3)[0] == ACCEPTED
     trainer.fly(15.0)
     assert trainer.place[2] == pytest.approx(-45.0, abs=1.0)
     assert wings_of(trainer).airspeed(trainer.pilot.state) == pytest.approx(14.0, abs=0.5)
-    spot = [value / 1e7 for value in trainer.spot(80.0, 20.0)]
+    spot = trainer.degrees(80.0, 20.0)
     numbers = (-1, 0, -50.0, NAN, *spot, altitude + 40.0)
     assert trainer.command(192, *numbers)[0] == ACCEPTED
     trainer.fly(25.0)
@@ -224,21 +225,21 @@ def test_it_holds_goes_to_places_and_changes_height_and_speed(trainer):
 
 
 def test_a_return_circles_home_and_lands_if_it_is_to(trainer):
-    trainer.send("param_set", *trainer.target, b"RTL_RETURN_ALT", 40.0, 9)
-    lift(trainer, 40.0)
+    trainer.set_parameter("RTL_RETURN_ALT", 40.0)
+    lift(trainer)
     assert trainer.mode(RETURN) == ACCEPTED
     trainer.fly(50.0)
     np.testing.assert_allclose(distances(trainer, 0.0, 0.0, 5.0), wings_of(trainer).radius, atol=1)
     assert trainer.pilot.mode == Mode.RETURN
     assert trainer.place[2] == pytest.approx(-30.0, abs=1.0)
-    trainer.send("param_set", *trainer.target, b"RTL_LAND_DELAY", 0.0, 9)
+    trainer.set_parameter("RTL_LAND_DELAY", 0.0)
     assert trainer.mode(RETURN) == ACCEPTED
     assert "disarmed after landing" in texts(trainer.fly(150.0))
 
 
 def test_a_breach_of_the_fence_makes_it_loiter(trainer):
-    lift(trainer, 40.0)
-    trainer.send("param_set", *trainer.target, b"GF_MAX_HOR_DIST", 60.0, 9)
+    lift(trainer)
+    trainer.set_parameter("GF_MAX_HOR_DIST", 60.0)
     trainer.velocity(12.0, 0.0, 0.0)
     assert trainer.mode(OFFBOARD) == ACCEPTED
     heard = trainer.fly(12.0, lambda: trainer.velocity(12.0, 0.0, 0.0))
@@ -249,7 +250,7 @@ def test_a_breach_of_the_fence_makes_it_loiter(trainer):
 
 
 def test_offboard_positions_are_circled_and_thrust_is_of_the_forward_rotor(trainer):
-    lift(trainer, 40.0)
+    lift(trainer)
     goal = (60.0, 0.0, -40.0)
     trainer.position(*goal)
     assert trainer.mode(OFFBOARD) == ACCEPTED
@@ -272,26 +273,22 @@ def test_offboard_positions_are_circled_and_thrust_is_of_the_forward_rotor(train
 
 
 def test_sticks_bank_climb_and_set_the_airspeed(trainer):
-    lift(trainer, 40.0)
+    lift(trainer)
     trainer.fly(20.0)
-
-    def sticks(pitch, roll):
-        trainer.send("manual_control", 1, pitch, roll, 500, 0, 0)
-
-    sticks(0, 0)
-    assert trainer.mode((3, 0)) == ACCEPTED
-    trainer.fly(3.0, lambda: sticks(-500, 0))
+    trainer.sticks()
+    assert trainer.mode(POSITION) == ACCEPTED
+    trainer.fly(3.0, lambda: trainer.sticks(pitch=-500))
     height = -trainer.place[2]
-    heard = trainer.fly(3.0, lambda: sticks(-500, 0))
+    heard = trainer.fly(3.0, lambda: trainer.sticks(pitch=-500))
     assert -trainer.place[2] > height + 3.0  # stick back: it climbs
     assert abs(messages(heard, "ATTITUDE")[-1].roll) < 0.1
-    heard = trainer.fly(3.0, lambda: sticks(0, 800))
+    heard = trainer.fly(3.0, lambda: trainer.sticks(roll=800))
     assert messages(heard, "ATTITUDE")[-1].roll > 0.3
     assert "no manual control: hold" in texts(trainer.fly(1.0))
 
 
 def test_without_gps_it_descends_in_a_turn(trainer):
-    trainer.fleet.services[0].vehicle.parameters.values["SYS_FAILURE_EN"] = 1
+    trainer.set_parameter("SYS_FAILURE_EN", 1)
     lift(trainer, 12.0)
     assert trainer.command(420, 4, 1, 0)[0] == ACCEPTED
     heard = trainer.fly(35.0)
@@ -302,8 +299,8 @@ def test_without_gps_it_descends_in_a_turn(trainer):
 def test_what_a_fixed_wing_cannot_do_is_denied(trainer, station):
     assert trainer.command(TRANSITION, TO_ROTORS)[0] == UNSUPPORTED
     assert trainer.command(186, 45.0, 3)[0] == REJECTED  # not flying
-    trainer.send("manual_control", 1, 0, 0, 500, 0, 0)
-    assert trainer.mode((3, 0)) == REJECTED
+    trainer.sticks()
+    assert trainer.mode(POSITION) == REJECTED
     assert trainer.pilot.mode == Mode.HOLD
     assert trainer.upload([(2, TRANSITION, 4, 0, 0, 0, 0, 0, 0)]) == mavlink_items.UNSUPPORTED
     small = (6, 18, 1.0, 0, 5.0, NAN, *trainer.spot(0.0, 50.0), 30.0)
@@ -320,7 +317,7 @@ def test_what_a_fixed_wing_cannot_do_is_denied(trainer, station):
 
 
 def test_a_vtol_flies_on_its_wings_and_back(quadplane):
-    altitude = quadplane.fleet.services[0].vehicle.site.altitude
+    altitude = quadplane.vehicle.site.altitude
     assert quadplane.command(TRANSITION, TO_WINGS)[0] == REJECTED  # not flying
     quadplane.command(400, 1)
     assert quadplane.command(22, 0, 0, 0, NAN, NAN, NAN, altitude + 12.0)[0] == ACCEPTED
