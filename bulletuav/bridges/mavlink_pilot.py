@@ -39,7 +39,6 @@ from bulletuav.bridges.mavlink_wings import (
     Transition,
     WingFlight,
     WingLeg,
-    brake_distance,
     plan_landing,
 )
 from bulletuav.bridges.motions import (
@@ -612,18 +611,27 @@ class Pilot:
             return Descend(self.state, self.now, math.inf, self._values["MPC_LAND_SPEED"])
         return Land(self.state, self.now, math.inf, self._values["MPC_LAND_SPEED"])
 
-    def _wing_landing(self, wings: WingFlight) -> Iterator[MotionPrimitive]:
-        """Yield the motions of a landing at the present position; a VTOL lands on its rotors."""
+    def _wing_landing(
+        self, wings: WingFlight, goal: tuple[float, float, float] | None = None
+    ) -> Iterator[MotionPrimitive]:
+        """Yield the motions of a landing on wings; a VTOL lands on its rotors.
+
+        Args:
+            wings: Flight on wings.
+            goal: (3,) position from which a VTOL descends, and below which wings land, m; None to
+                land at the present position.
+        """
+        x, y, _ = self.state[0] if goal is None else goal
         if wings.can_hover:
             wings.is_forward = False
             yield Brake(self.state, self.now)
+            if goal is not None:
+                yield self._leg(goal, self._values["MPC_XY_CRUISE"], Heading(forward=True))
             yield self._land()
         elif not self.failures.has_gps:
             yield SpiralDescent(wings, self.now)
         else:
-            x, y, _ = self.state[0]
-            point = (x, y, self._site.start[2])
-            course = wings.landing_course(self.state)
+            point, course = (x, y, self._site.start[2]), wings.landing_course(self.state)
             yield from plan_landing(wings, lambda: self.state, point, course)
 
     def _wing_return(
@@ -643,20 +651,13 @@ class Pilot:
         """
         px, py, _ = self.state[0]
         yield Loiter(wings, (px, py, high), ends_at_height=True)
-        near = brake_distance(wings) if wings.can_hover else wings.radius
+        near = wings.brake_distance if wings.can_hover else wings.radius
         yield WingLeg(wings, self.state, (x, y, high), near)
         yield Loiter(wings, (x, y, low), ends_at_height=True)
-        if wings.can_hover:
-            wings.is_forward = False
-            yield Brake(self.state, self.now)
-            speed = self._values["MPC_XY_CRUISE"]
-            yield self._leg((x, y, low), speed, Heading(forward=True))
-            yield self._land()
-            return
-        delay = self._values["RTL_LAND_DELAY"]
-        yield Loiter(wings, (x, y, low), seconds=delay if delay >= 0 else math.inf)
-        point, course = (x, y, self._site.start[2]), wings.landing_course(self.state)
-        yield from plan_landing(wings, lambda: self.state, point, course)
+        if not wings.can_hover:
+            delay = self._values["RTL_LAND_DELAY"]
+            yield Loiter(wings, (x, y, low), seconds=delay if delay >= 0 else math.inf)
+        yield from self._wing_landing(wings, (x, y, low))
 
     def _return(self) -> MotionPrimitive:
         """Return the first leg of a return: climb, fly above the goal, descend, and land.

@@ -37,7 +37,6 @@ from bulletuav.bridges.mavlink_wings import (
     Transition,
     WingFlight,
     WingLeg,
-    brake_distance,
     plan_landing,
 )
 from bulletuav.bridges.motions import (
@@ -282,10 +281,10 @@ class Route:
             yield from self._wing_landing(wings, item, goal)
             return
         if item.command == WAYPOINT:
-            radius = item.params[1] if item.params[1] > 0 else wings.acceptance_radius
+            radius = item.params[1] if item.params[1] > 0 else wings.values["NAV_ACC_RAD"]
             yield WingLeg(wings, self._state, goal, radius)
             # As in PX4: a waypoint needs its height, too
-            if abs(self._state[0][2] - goal[2]) > wings.height_tolerance:
+            if abs(self._state[0][2] - goal[2]) > wings.values["NAV_FW_ALT_RAD"]:
                 yield Loiter(wings, goal, ends_at_height=True)
             if item.params[0] > 0:
                 yield Loiter(wings, goal, seconds=item.params[0])
@@ -306,7 +305,7 @@ class Route:
         x, y = goal[0] - self._state[0][0], goal[1] - self._state[0][1]
         if wings.can_hover:
             above = (goal[0], goal[1], self._state[0][2])
-            yield WingLeg(wings, self._state, above, brake_distance(wings))
+            yield WingLeg(wings, self._state, above, wings.brake_distance)
             yield from self._transition(False)
             yield self._plan_leg(above, Heading(forward=True))
             yield Mode.LAND

@@ -73,6 +73,7 @@ class WingFlight:
 
     Attributes:
         can_hover: Whether it is a VTOL.
+        values: Values of the parameters.
         is_forward: Whether it flies on wings, or is commanded to.
         chosen_speed: Airspeed that a client has chosen, m/s; None for FW_AIRSPD_TRIM.
     """
@@ -92,7 +93,7 @@ class WingFlight:
             values: Values of the parameters.
             get_wind: Function that returns the velocity of the air at the vehicle, (3,), m/s.
         """
-        self.can_hover, self._values, self._get_wind = airframe.can_hover, values, get_wind
+        self.can_hover, self.values, self._get_wind = airframe.can_hover, values, get_wind
         self.is_forward, self.chosen_speed = not airframe.can_hover, None
         self.mass, self.max_thrust = airframe.mass, forward_thrust(airframe)
         self.stall_speed, self.min_speed = float(row["stall_speed"]), float(row["min_speed"])
@@ -108,14 +109,9 @@ class WingFlight:
     @property
     def speed(self) -> float:
         """Airspeed of legs and loiters, m/s."""
-        values = self._values
+        values = self.values
         wanted = values["FW_AIRSPD_TRIM"] if self.chosen_speed is None else self.chosen_speed
         return min(max(wanted, values["FW_AIRSPD_MIN"], self.min_speed), values["FW_AIRSPD_MAX"])
-
-    @property
-    def has_runway(self) -> bool:
-        """Whether the vehicle takes off by its own thrust, without a launcher."""
-        return self._values["RWTO_TKOFF"] > 0
 
     @property
     def min_radius(self) -> float:
@@ -125,22 +121,17 @@ class WingFlight:
     @property
     def radius(self) -> float:
         """Radius of a loiter without one, m."""
-        return max(self._values["NAV_LOITER_RAD"], self.min_radius)
+        return max(self.values["NAV_LOITER_RAD"], self.min_radius)
 
     @property
-    def acceptance_radius(self) -> float:
-        """Horizontal distance at which a waypoint without one counts as reached, m."""
-        return self._values["NAV_ACC_RAD"]
-
-    @property
-    def height_tolerance(self) -> float:
-        """Height error at which a waypoint counts as reached, m."""
-        return self._values["NAV_FW_ALT_RAD"]
+    def brake_distance(self) -> float:
+        """Distance in which a VTOL stops from the airspeed of legs, m."""
+        return self.speed**2 / (2 * PATH_ACCELERATION)
 
     @property
     def glide_slope(self) -> float:
         """Slope of an approach, height by distance."""
-        return float(tan(math.radians(self._values["FW_LND_ANG"])))
+        return float(tan(math.radians(self.values["FW_LND_ANG"])))
 
     def airspeed(self, state: State) -> float:
         """Return the airspeed, m/s."""
@@ -171,8 +162,7 @@ class WingFlight:
             goal: Point of the line, m.
             course: Course of the line, rad from east to north.
         """
-        x, y = state[0][0] - goal[0], state[0][1] - goal[1]
-        left = y * cos(course) - x * sin(course)
+        _, left = place_by_line(state, goal, course)
         return float(course - atan2(left, self.width(state)))
 
     def circle_course(self, state: State, center: Point, radius: float) -> float:
@@ -247,9 +237,7 @@ class WingFlight:
         """Return what a vehicle on wings does with an offboard setpoint: positions are circled."""
         if setpoint.xy_mode != "position":
             return setpoint
-        center = (*setpoint.xy, setpoint.z)
-        course = self.circle_course(state, center, self.radius)
-        return self.fly(state, course, self.climb_rate(state, setpoint.z))
+        return Loiter(self, (*setpoint.xy, setpoint.z)).get_setpoint(state, 0.0)
 
     def turn(self, state: State, lateral: float, climb: float, speed: float) -> AirspaceCommand:
         """Return the command of a turn.
@@ -268,9 +256,18 @@ class WingFlight:
         return self.fly(state, course, climb, speed)
 
 
-def brake_distance(wings: WingFlight) -> float:
-    """Return the distance in which a VTOL stops from its present airspeed, m."""
-    return wings.speed**2 / (2 * PATH_ACCELERATION)
+def place_by_line(state: State, goal: Point, course: float) -> tuple[float, float]:
+    """Return how far a vehicle is from a point along a line, and to the left of the line, m.
+
+    Args:
+        state: State of the vehicle.
+        goal: Point of the line, m.
+        course: Course of the line, rad from east to north. The first distance is positive before
+            the point.
+    """
+    x, y = goal[0] - state[0][0], goal[1] - state[0][1]
+    east, north = float(cos(course)), float(sin(course))
+    return x * east + y * north, x * north - y * east
 
 
 def forward_thrust(airframe: Airframe) -> float:
@@ -369,15 +366,11 @@ class WingLeg(WingMotion):
         self._length = math.hypot(x, y)
         self._course = float(atan2(y, x)) if self._length else wings.course(state)
 
-    def _remaining(self, state: State) -> float:
-        """Return the distance to the goal along the line, m."""
-        x, y = self._goal[0] - state[0][0], self._goal[1] - state[0][1]
-        return float(x * cos(self._course) + y * sin(self._course))
-
     def get_setpoint(self, state: State, now: float) -> AirspaceCommand:
         """Return the course along the line, and the climb rate to its height."""
         rise = self._goal[2] - self._start[2]
-        share = min(max(self._remaining(state) / max(self._length, 1e-9), 0.0), 1.0)
+        remaining, _ = place_by_line(state, self._goal, self._course)
+        share = min(max(remaining / max(self._length, 1e-9), 0.0), 1.0)
         slope = rise / max(self._length, 1e-9) if 0.0 < share < 1.0 else 0.0
         steady = slope * math.hypot(state[2][0], state[2][1])
         climb = steady + self._wings.climb_rate(state, self._goal[2] - rise * share)
@@ -387,7 +380,8 @@ class WingLeg(WingMotion):
     def check_outcome(self, state: State, now: float, has_contact: bool) -> bool | None:
         """Return True within the acceptance radius or past the goal, else None."""
         distance = math.dist(state[0][:2], self._goal[:2])
-        return True if distance <= self._acceptance or self._remaining(state) <= 0 else None
+        remaining, _ = place_by_line(state, self._goal, self._course)
+        return True if distance <= self._acceptance or remaining <= 0 else None
 
 
 class Launch(WingMotion):
@@ -409,7 +403,7 @@ class Launch(WingMotion):
         There is none if RWTO_TKOFF is 1.
         """
         wings = self._wings
-        if wings.has_runway:
+        if wings.values["RWTO_TKOFF"] > 0:
             return None
         push = wings.mass * LAUNCH_ACCELERATION
         share = min(wings.airspeed(state) / wings.min_speed, 1.0)
@@ -421,10 +415,6 @@ class Launch(WingMotion):
         if self._wings.airspeed(state) >= LAUNCH_SPEED * self._wings.min_speed:
             return True
         return False if now - self.start_time > LAUNCH_TIMEOUT else None
-
-    def get_next_motion(self, state: State) -> MotionPrimitive:
-        """Return the motion that stops the motors."""
-        return MotorsOff()
 
 
 class ClimbOut(WingMotion):
@@ -461,8 +451,20 @@ class ClimbOut(WingMotion):
         return Loiter(self._wings, (*state[0][:2], self._height))
 
 
-class Approach(WingMotion):
-    """Descend along a glide slope, flare, and end at ground contact with motors off."""
+class Touchdown(WingMotion):
+    """Motion that ends at ground contact with motors off."""
+
+    def check_outcome(self, state: State, now: float, has_contact: bool) -> bool | None:
+        """Return True after touchdown, else None."""
+        return True if has_contact else None
+
+    def get_next_motion(self, state: State) -> MotionPrimitive:
+        """Return the motion that stops the motors."""
+        return MotorsOff()
+
+
+class Approach(Touchdown):
+    """Descend along a glide slope, and flare."""
 
     def __init__(self, wings: WingFlight, point: Point, course: float, height: float) -> None:
         """Plan the approach.
@@ -484,39 +486,21 @@ class Approach(WingMotion):
         self._is_flaring = self._is_flaring or height < FLARE_HEIGHT
         if self._is_flaring:
             return wings.fly(state, course, -FLARE_SINK, wings.min_speed)
-        x, y = self._point[0] - state[0][0], self._point[1] - state[0][1]
-        remaining = x * cos(self._course) + y * sin(self._course)
+        remaining, _ = place_by_line(state, self._point, self._course)
         speed = math.hypot(state[2][0], state[2][1])
-        remaining -= FLARE_TIME * speed
-        slope_height = FLARE_HEIGHT + max(remaining, 0.0) * wings.glide_slope
+        slope_height = FLARE_HEIGHT + max(remaining - FLARE_TIME * speed, 0.0) * wings.glide_slope
         sink = wings.glide_slope * speed if slope_height < self._height else 0.0
         wanted = self._point[2] + min(slope_height, self._height)
         climb = wings.climb_rate(state, wanted) - sink
         return wings.fly(state, course, climb, APPROACH_SPEED * wings.min_speed)
 
-    def check_outcome(self, state: State, now: float, has_contact: bool) -> bool | None:
-        """Return True after touchdown, else None."""
-        return True if has_contact else None
 
-    def get_next_motion(self, state: State) -> MotionPrimitive:
-        """Return the motion that stops the motors."""
-        return MotorsOff()
-
-
-class SpiralDescent(WingMotion):
-    """Descend in a turn of constant bank, without a position, until ground contact."""
+class SpiralDescent(Touchdown):
+    """Descend in a turn of constant bank, without a position."""
 
     def get_setpoint(self, state: State, now: float) -> AirspaceCommand:
         """Return the turn and the sink rate."""
         return self._wings.turn(state, SPIRAL_TURN, -SPIRAL_SINK, self._wings.speed)
-
-    def check_outcome(self, state: State, now: float, has_contact: bool) -> bool | None:
-        """Return True after touchdown, else None."""
-        return True if has_contact else None
-
-    def get_next_motion(self, state: State) -> MotionPrimitive:
-        """Return the motion that stops the motors."""
-        return MotorsOff()
 
 
 class Transition(WingMotion):
@@ -598,24 +582,21 @@ def plan_landing(
         course: Course of the approach, rad from east to north.
     """
     state = get_state()
-    x, y, height = (state[0][k] - point[k] for k in range(3))
-    width = wings.width(state)
-    away = -x * float(cos(course)) - y * float(sin(course))
-    aside = abs(y * float(cos(course)) - x * float(sin(course)))
-    if height > 0 and aside < width and away > height / wings.glide_slope + 2 * width:
+    remaining, left = place_by_line(state, point, course)
+    height, width = state[0][2] - point[2], wings.width(state)
+    if height > 0 and abs(left) < width and remaining > height / wings.glide_slope + 2 * width:
         yield Approach(wings, point, course, height)
         return
     height = min(max(height, LOWEST_APPROACH), APPROACH_HEIGHT)
     # Room to turn onto the line before the slope begins
-    room = 2 * wings.radius + 2 * width
-    length = height / wings.glide_slope + room
+    length = height / wings.glide_slope + 2 * wings.radius + 2 * width
     start = (
         point[0] - length * float(cos(course)),
         point[1] - length * float(sin(course)),
         point[2] + height,
     )
     if math.dist(state[0][:2], start[:2]) > wings.radius:
-        yield WingLeg(wings, state, start, wings.acceptance_radius)
-    if get_state()[0][2] - start[2] > wings.height_tolerance:
+        yield WingLeg(wings, state, start, wings.values["NAV_ACC_RAD"])
+    if get_state()[0][2] - start[2] > wings.values["NAV_FW_ALT_RAD"]:
         yield Loiter(wings, start, ends_at_height=True)
     yield Approach(wings, point, course, height)
