@@ -28,8 +28,6 @@ MAX_STICK_LEAD = 1.0
 """Maximum distance between the position that sticks command and the vehicle, m"""
 NUM_ORBIT_POINTS = 360
 """Number of points at which a circle is compared with the geofence"""
-STICK_DEADZONE = 0.05
-"""Deflection below which a stick counts as centred"""
 
 
 class OrbitPlan(NamedTuple):
@@ -236,16 +234,9 @@ class ManualFlight(MotionPrimitive):
         self._target: list[float] | None = None
         self._velocity, self._time = [0.0] * 3, 0.0
 
-    def check_outcome(self, state: State, now: float, has_contact: bool) -> bool | None:
-        """Return False if no sticks have arrived within COM_RC_LOSS_T, else None."""
-        return False if now - self._get_sticks().time > self._values["COM_RC_LOSS_T"] else None
-
     def get_setpoint(self, state: State, now: float) -> Setpoint | None:
         """Return the setpoint of the sticks; None, motors off, on the ground without throttle."""
-        sticks, values = self._get_sticks(), self._values
-        pitch, roll, throttle, yaw = (
-            0.0 if abs(value) < STICK_DEADZONE else value for value in sticks[:4]
-        )
+        (pitch, roll, throttle, yaw, _), values = self._get_sticks(), self._values
         if self._has_landed() and throttle <= 0:
             self._target = None
             return None

@@ -181,17 +181,17 @@ class Pilot:
             self.enter_mode(modes[int(action)])
 
     def _advance_motion(self) -> None:
-        """Start the next motion if the present one has ended; hold if setpoints are lost."""
+        """Start the next motion if the present one has ended; hold without setpoints or sticks."""
         if self.mode == Mode.OFFBOARD:
             if not self.has_recent_setpoint:
                 self._hold_or_land("no offboard setpoints")
             return
+        if self.mode in MANUAL_MODES and not self.has_recent_sticks:
+            self._hold_or_land("no manual control")
+            return
         if isinstance(self._motion, MotorsOff | HoldPosition):
             return
         if self._motion.check_outcome(self.state, self.now, self._is_touching) is None:
-            return
-        if self.mode in MANUAL_MODES:
-            self._hold_or_land("no manual control")
             return
         previous = self._motion
         following = self._next_motion()
@@ -550,7 +550,7 @@ class Pilot:
             self._next_motion = self._next_mission_motion
             return self._next_mission_motion() or self._hold()
         if mode in MANUAL_MODES and self._wings is not None and self.is_forward:
-            return ManualWings(self._wings, lambda: self.sticks, self._values)
+            return ManualWings(self._wings, lambda: self.sticks)
         if mode in MANUAL_MODES:
             return ManualFlight(
                 lambda: self.sticks,

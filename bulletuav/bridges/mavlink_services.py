@@ -48,6 +48,8 @@ COMPLAINT_INTERVAL = 1.0
 MISSION_CURRENT = 42
 MAX_TARGET_SPEED = 100.0
 """Limit of the velocity of a target, m/s"""
+STICK_DEADZONE = 0.05
+"""Deflection below which a stick counts as centred, from 0 to 1"""
 
 
 class Services:
@@ -222,10 +224,10 @@ class Services:
 def _read_sticks(message: Message, now: float) -> Sticks:
     """Convert a MANUAL_CONTROL: axes from -1000 to 1000, the throttle from 0 to 1000.
 
-    Invalid axes (outside of -1000 to 1000) count as centred.
+    Axes within the deadzone, and invalid ones (outside of -1000 to 1000), count as centred.
     """
     pitch, roll, throttle, yaw = (
-        value / 1000 if abs(value) <= 1000 else 0.0
+        value / 1000 if STICK_DEADZONE <= abs(value) / 1000 <= 1.0 else 0.0
         for value in (message.x, message.y, 2 * message.z - 1000, message.r)
     )
     return Sticks(pitch, roll, throttle, yaw, now)

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 
 import numpy as np
 
-from bulletuav.bridges.mavlink_motions import STICK_DEADZONE, Sticks
+from bulletuav.bridges.mavlink_motions import Sticks
 from bulletuav.bridges.motions import (
     PATH_ACCELERATION,
     HoldPosition,
@@ -544,27 +544,17 @@ class Brake(MotionPrimitive):
 class ManualWings(WingMotion):
     """Flight on wings by sticks: bank, climb rate and airspeed."""
 
-    def __init__(
-        self, wings: WingFlight, get_sticks: Callable[[], Sticks], values: Mapping[str, float]
-    ) -> None:
-        """Read sticks until none have arrived within COM_RC_LOSS_T."""
+    def __init__(self, wings: WingFlight, get_sticks: Callable[[], Sticks]) -> None:
+        """Fly by the last sticks, which a function returns."""
         super().__init__(wings)
-        self._get_sticks, self._values = get_sticks, values
+        self._get_sticks = get_sticks
 
     def get_setpoint(self, state: State, now: float) -> AirspaceCommand:
         """Return the turn, the climb rate (stick back is up) and the airspeed of the throttle."""
-        wings, sticks, values = self._wings, self._get_sticks(), self._values
-        pitch, roll, throttle, _ = (
-            0.0 if abs(value) < STICK_DEADZONE else value for value in sticks[:4]
-        )
-        limit = values["FW_AIRSPD_MAX" if throttle > 0 else "FW_AIRSPD_MIN"]
-        speed = wings.speed + abs(throttle) * (limit - wings.speed)
-        return wings.turn(state, -roll, -pitch * wings.max_climb, speed)
-
-    def check_outcome(self, state: State, now: float, has_contact: bool) -> bool | None:
-        """Return False if no sticks have arrived within COM_RC_LOSS_T, else None."""
-        is_lost = now - self._get_sticks().time > self._values["COM_RC_LOSS_T"]
-        return False if is_lost else None
+        wings, sticks = self._wings, self._get_sticks()
+        limit = wings.values["FW_AIRSPD_MAX" if sticks.throttle > 0 else "FW_AIRSPD_MIN"]
+        speed = wings.speed + abs(sticks.throttle) * (limit - wings.speed)
+        return wings.turn(state, -sticks.roll, -sticks.pitch * wings.max_climb, speed)
 
 
 def plan_landing(

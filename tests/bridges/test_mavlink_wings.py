@@ -346,6 +346,20 @@ def test_a_vtol_flies_on_its_wings_and_back(quadplane):
     assert "disarmed after landing" in texts(quadplane.fly(25.0))
 
 
+def test_a_vtol_flies_by_sticks_on_its_rotors_and_on_its_wings(quadplane):
+    quadplane.take_off(12.0)
+    quadplane.fly(6.0)
+    quadplane.sticks()
+    assert quadplane.mode(POSITION) == ACCEPTED
+    assert quadplane.command(TRANSITION, TO_WINGS)[0] == ACCEPTED
+    heard = quadplane.fly(12.0, quadplane.sticks)
+    assert texts(heard) == []
+    assert quadplane.pilot.mode == Mode.POSITION
+    heard = quadplane.fly(3.0, lambda: quadplane.sticks(roll=800))
+    assert messages(heard, "ATTITUDE")[-1].roll > 0.3
+    assert "no manual control: hold" in texts(quadplane.fly(1.0))
+
+
 def test_a_mission_of_a_vtol_takes_off_and_lands_on_rotors(quadplane):
     here = (0, 0, 12.0)
     items = [
