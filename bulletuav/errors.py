@@ -1,11 +1,13 @@
 """Validation of user input, and error messages that name the wrong value and the remedy.
 
 Functions that return an error (`unknown`, `missing_extra`) leave the `raise` to the caller.
-Functions that validate (`as_int`, `finite`, `as_sequence`, `numbers_of`, `points_of`) return the
-value converted to the type that the package uses, and raise ValueError if the value is invalid.
+Functions that validate (`as_int`, `finite`, `as_sequence`, `as_instance`, `numbers_of`,
+`points_of`) return the value converted to the type that the package uses, and raise ValueError if
+the value is invalid.
 """
 
 import contextlib
+import dataclasses
 import difflib
 import math
 import numbers
@@ -16,11 +18,12 @@ import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from importlib import import_module
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import numpy as np
 
 Entry = TypeVar("Entry")
+Instance = TypeVar("Instance")
 
 MAX_SHOWN = 200
 """Maximum number of characters of a value that a message shows."""
@@ -345,6 +348,38 @@ def as_sequence(
     if most is not None and len(value) > most:
         raise ValueError(f"{name} has {len(value)} entries: at most {most} are possible")
     return tuple(value)
+
+
+def as_instance(what: str, kind: type[Instance], given: object) -> Instance:
+    """Convert an object of a dataclass, or a dict of its attributes, to the object.
+
+    Args:
+        what: Name of the option in messages.
+        kind: The dataclass.
+        given: The value.
+
+    Raises:
+        ValueError: If the value is neither, an attribute is unknown or invalid, or one without a
+            default is missing.
+    """
+    if isinstance(given, kind):
+        return given
+    needed = {
+        one.name: one.default is one.default_factory is dataclasses.MISSING
+        for one in dataclasses.fields(cast(Any, kind))
+    }
+    if not isinstance(given, Mapping):
+        raise ValueError(
+            f"{what} is {shown(given)}: {kind.__name__}, or a dict of {', '.join(needed)}, is "
+            f"needed"
+        )
+    for name in given:
+        if name not in needed:
+            raise unknown(f"attribute of {what}:", name, needed)
+    for name, is_needed in needed.items():
+        if is_needed and name not in given:
+            raise ValueError(f"{what} is {shown(dict(given))}: it lacks a {name}")
+    return kind(**given)
 
 
 def numbers_of(subject: str, value: object) -> np.ndarray:

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from bulletuav.errors import as_int, as_sequence, finite, numbers_of, shown, unknown
+from bulletuav.errors import as_instance, as_int, as_sequence, finite, numbers_of, shown, unknown
 from bulletuav.vehicle.wind import MAX_WIND
 
 RANDOM = "random"
@@ -141,21 +141,5 @@ def as_events(given: Any) -> tuple[Event, ...]:
         ValueError: If a value is no event, or an attribute is unknown or invalid.
     """
     listed = (given,) if isinstance(given, Event | Mapping) else given
-    return tuple(map(_as_event, as_sequence("events", listed, most=MAX_EVENTS)))
-
-
-def _as_event(given: Any) -> Event:
-    """Return an event, or one with the attributes of a dict."""
-    if isinstance(given, Event):
-        return given
-    if not isinstance(given, Mapping):
-        raise ValueError(
-            f"events has {shown(given)}: an Event, or a dict such as "
-            f"{{'time': 2.0, 'added_mass': 0.01}}, is needed"
-        )
-    for name in given:
-        if name not in ("time", "drone", *CHANGES):
-            raise unknown("attribute of one of events:", name, ("time", "drone", *CHANGES))
-    if "time" not in given:
-        raise ValueError(f"events has {shown(dict(given))}: it lacks a time")
-    return Event(**given)
+    entries = as_sequence("events", listed, most=MAX_EVENTS)
+    return tuple(as_instance("one of events", Event, one) for one in entries)

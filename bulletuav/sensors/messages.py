@@ -12,7 +12,7 @@ from bulletuav.compiled.functions import power
 from bulletuav.compiled.kernel import allocating, func, kernel
 from bulletuav.control.actions.messages import read_message
 from bulletuav.engine.engine import Engine
-from bulletuav.errors import as_bool, as_int, finite, points_of, shown, unknown
+from bulletuav.errors import as_bool, as_instance, as_int, finite, points_of, shown
 from bulletuav.geometry.closest_approach import insert_nearest
 from bulletuav.geometry.grid import (
     MIN_POINTS,
@@ -156,7 +156,7 @@ class Channel:
         self._keep("delay", finite("delay of communication", self.delay, 0.0, MAX_DELAY))
         as_bool("line_of_sight of communication", self.line_of_sight)
         if self.jammer is not None:
-            self._keep("jammer", _make("jammer of communication", Jammer, self.jammer))
+            self._keep("jammer", as_instance("jammer of communication", Jammer, self.jammer))
 
     def _keep(self, name: str, value: Any) -> None:
         object.__setattr__(self, name, value)
@@ -203,25 +203,7 @@ def as_channel(given: Any) -> Channel | None:
     Raises:
         ValueError: If the value is no channel, or an attribute is unknown or invalid.
     """
-    return None if given is None else _make("communication", Channel, given)
-
-
-def _make(what: str, kind: type[Any], given: Any) -> Any:
-    """Return an object of a class, or one with the attributes of a dict."""
-    if isinstance(given, kind):
-        return given
-    names = tuple(one.name for one in dataclasses.fields(kind))
-    if not isinstance(given, Mapping):
-        raise ValueError(
-            f"{what} is {shown(given)}: a {kind.__name__}, or a dict of {', '.join(names)}, is "
-            f"needed"
-        )
-    for name in given:
-        if name not in names:
-            raise unknown(f"attribute of {what}:", name, names)
-    if kind is Jammer and "path" not in given:
-        raise ValueError(f"{what} is {shown(dict(given))}: it lacks a path")
-    return kind(**given)
+    return None if given is None else as_instance("communication", Channel, given)
 
 
 def _ceil(number: float) -> int:

@@ -13,15 +13,14 @@ References:
 """
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from bulletuav.compiled.functions import PI, power, sin
 from bulletuav.compiled.kernel import func, kernel
-from bulletuav.errors import as_int, as_sequence, finite, shown, unknown
+from bulletuav.errors import as_instance, as_int, as_sequence, finite
 
 SHAPES = np.array(
     [
@@ -144,18 +143,7 @@ def as_thermals(given: Any) -> Thermals | None:
     Raises:
         ValueError: If the value is none of these, or an attribute is unknown or invalid.
     """
-    if given is None or isinstance(given, Thermals):
-        return given
-    names = tuple(one.name for one in fields(Thermals))
-    if not isinstance(given, Mapping):
-        raise ValueError(
-            f"thermals is {shown(given)}: Thermals, or a dict of {', '.join(names)}, is needed; "
-            f"{{}} for the defaults"
-        )
-    for name in given:
-        if name not in names:
-            raise unknown("attribute of thermals:", name, names)
-    return Thermals(**given)
+    return None if given is None else as_instance("thermals", Thermals, given)
 
 
 @func

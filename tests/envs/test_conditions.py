@@ -367,7 +367,7 @@ def test_a_run_with_events_is_recorded_and_verified(tmp_path):
         ([{"time": 1.0, "rotor_effectiveness": (1, 1, 1)}], r"\(4,\) is needed"),
         ([{"time": 1.0, "added_inertia": (1.0, 1.0)}], r"has shape \(2,\): \(3,\) is needed"),
         (5, "a list or tuple is needed"),
-        ([5], "an Event, or a dict"),
+        ([5], "one of events is 5: Event, or a dict of time, drone"),
     ],
 )
 def test_events_that_cannot_be_are_refused(events, message):

@@ -185,7 +185,7 @@ def test_a_jammer_flies_along_its_closed_path():
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        (3, "communication is 3: a Channel, or a dict of size, tokens"),
+        (3, "communication is 3: Channel, or a dict of size, tokens"),
         ({"sise": 3}, "attribute of communication: 'sise': did you mean 'size'"),
         ({"size": 0}, "size of communication is 0"),
         ({"size": 1.5}, "size of communication is 1.5"),
