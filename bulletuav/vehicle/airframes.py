@@ -405,20 +405,12 @@ def _read_wing(urdf: UrdfFile, element: Element) -> Wing:
     _require_known_attributes(urdf, element, WING_ATTRIBUTES)
     name = _read_name(urdf, element)
     x, y, z = (urdf.number(element, key, most=MAX_LENGTH) for key in "xyz")
-    span, chord = (_read_bounded(urdf, element, key, WING_BOUNDS[key]) for key in ("span", "chord"))
-    defaults = {
-        "dihedral": 0.0,
-        "incidence": 0.0,
-        "aspect_ratio": span / chord,
-        "downwash": 0.0,
-        "slipstream": 0.0,
-    }
-    values = {"span": span, "chord": chord}
+    values = {"dihedral": 0.0, "incidence": 0.0, "downwash": 0.0, "slipstream": 0.0}
+    optional = (*values, "aspect_ratio", "lift_slope")
     for key, bounds in WING_BOUNDS.items():
-        if key in element.attrib or key not in (*defaults, "lift_slope"):
+        if key in element.attrib or key not in optional:
             values[key] = _read_bounded(urdf, element, key, bounds)
-        elif key != "lift_slope":
-            values[key] = defaults[key]
+    values.setdefault("aspect_ratio", values["span"] / values["chord"])
     values.setdefault("lift_slope", helmbold_slope(values["aspect_ratio"]))
     return Wing(name=name, position=(x, y, z), surface=_read_surface(urdf, element), **values)
 

@@ -164,8 +164,8 @@ def wing_rows(airframes: Sequence[Airframe]) -> np.ndarray | None:
         row["thrust_slope"] = airframe.drag_z / airframe.thrust_coefficient
         row["jet_area"] = len(forward) * math.pi * airframe.propeller_radius**2
         row["num_panels"] = 2 * len(airframe.wings)
+        angle = _zero_downwash(airframe.wings)
         for k, wing in enumerate(airframe.wings):
-            angle = _zero_downwash(airframe.wings)
             for p, side in ((2 * k, -1.0), (2 * k + 1, 1.0)):
                 _write_panel(row, p, side, wing, angle)
             if wing.surface is not None:
