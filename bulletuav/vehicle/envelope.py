@@ -289,12 +289,9 @@ class _Steady:
         self.given = given
         self.finds_climb = finds_climb
         self.turn_rate = STANDARD_GRAVITY * tan(bank) / airspeed
+        self.bank_sine, self.bank_cosine = sin(bank), cos(bank)
         # Without control of all axes, the sideslip balances a moment instead of the side force
         self.equations = [0, 1, 2, 3, 4, 5] if len(aircraft.axes) == 3 else [0, 2, 3, 4, 5]
-
-    def start(self) -> list[float]:
-        """Return the unknowns with which the iteration starts."""
-        return [0.05, 0.0, 0.0 if self.finds_climb else 0.7, *(0.0 for _ in self.aircraft.axes)]
 
     def _split(self, x: list[float]) -> tuple[float, float, tuple[float, ...]]:
         """Return climb, throttle and deflections of the unknowns."""
@@ -309,9 +306,9 @@ class _Steady:
 
         The pitch follows from the rate of climb constraint of Stevens and Lewis.
         """
-        ahead, aside = cos(x[0]) * cos(x[1]), sin(x[1])
-        below = sin(x[0]) * cos(x[1])
-        across = aside * sin(self.bank) + below * cos(self.bank)
+        flat, aside = cos(x[1]), sin(x[1])
+        ahead, below = cos(x[0]) * flat, sin(x[0]) * flat
+        across = aside * self.bank_sine + below * self.bank_cosine
         rise, total = sin(climb), ahead * ahead + across * across
         root = math.sqrt(max(total - rise * rise, 0.0))
         sine, cosine = (
@@ -319,7 +316,7 @@ class _Steady:
             (ahead * root - across * rise) / total,
         )
         v = self.airspeed
-        up = (sine, sin(self.bank) * cosine, cos(self.bank) * cosine)
+        up = (sine, self.bank_sine * cosine, self.bank_cosine * cosine)
         return (v * ahead, -v * aside, -v * below), sine, cosine, up
 
     def residual(self, x: list[float]) -> list[float]:
@@ -340,7 +337,7 @@ class _Steady:
 
     def solve(self) -> list[float] | None:
         """Solve the equations by Newton's method; None if it does not converge."""
-        x = self.start()
+        x = [0.05, 0.0, 0.0 if self.finds_climb else 0.7, *(0.0 for _ in self.aircraft.axes)]
         for _ in range(_MAX_ITERATIONS):
             now = self.residual(x)
             left = [now[i] for i in self.equations]
@@ -414,7 +411,7 @@ def find_trim(airframe: Airframe, airspeed: float, climb: float = 0.0, bank: flo
         B. Stevens, F. Lewis, Aircraft Control and Simulation, Wiley 2003, section 3.6.
     """
     aircraft = _aircraft(airframe)
-    _require_forward_rotors(airframe, aircraft)
+    _require_forward_rotors(aircraft)
     flown = f"{_require_flight(aircraft, airspeed, bank)} and a climb of {climb:g} rad"
     finite("climb", climb, -MAX_CLIMB_ANGLE, MAX_CLIMB_ANGLE)
     equations = _Steady(aircraft, airspeed, bank, climb, finds_climb=False)
@@ -497,7 +494,7 @@ def find_envelope(airframe: Airframe) -> Envelope:
             little above it.
     """
     aircraft = _aircraft(airframe)
-    _require_forward_rotors(airframe, aircraft)
+    _require_forward_rotors(aircraft)
     stall, _ = find_stall(airframe)
     slowest = MIN_SPEED_FACTOR * stall
     faster = MIN_SPEED_RANGE * slowest
@@ -606,9 +603,9 @@ def _beyond_range(airframe: Airframe, deflection: tuple[float, ...]) -> int | No
     return None
 
 
-def _require_forward_rotors(airframe: Airframe, aircraft: _Aircraft) -> None:
+def _require_forward_rotors(aircraft: _Aircraft) -> None:
     """Raise ValueError for an airframe without a rotor along x."""
-    if not airframe.forward_rotors:
+    if not aircraft.airframe.forward_rotors:
         raise ValueError(
             f"{aircraft.of} has no forward rotor, and cannot fly level on its wings: add a rotor "
             f'with axis="x"'
