@@ -211,7 +211,7 @@ def gvo_velocities(
                 time, distance = _first_conflict(
                     path, others, alive, w, i, separation, total + fastest, steps, best_time
                 )
-                time = _first_obstacle(path, traffic, w, i, total, steps, wall, time)
+                time = _first_obstacle(path, traffic, w, i, total, wall, time)
                 if time > best_time or (time == best_time and distance > best_distance):
                     best_time, best_distance, best = time, distance, target
                 if best_time >= horizon:
@@ -382,14 +382,7 @@ def _first_conflict(
 
 @kernel
 def _first_obstacle(
-    path: np.ndarray,
-    traffic: Traffic,
-    w: int,
-    i: int,
-    speed: float,
-    steps: int,
-    wall: float,
-    first: float,
+    path: np.ndarray, traffic: Traffic, w: int, i: int, speed: float, wall: float, first: float
 ) -> float:
     """Return the time of the first conflict of a predicted motion, also with obstacles, s.
 
@@ -399,7 +392,6 @@ def _first_obstacle(
         w: Index of the world.
         i: Index of the drone.
         speed: Largest speed of the motion, m/s.
-        steps: Number of pieces of the path that count.
         wall: Time in which static surfaces count, s.
         first: Time of the first conflict with other drones, s.
     """
@@ -426,11 +418,11 @@ def _first_obstacle(
         distance = traffic.surface[w, i, p, 3]
         if distance < np.inf:
             normal = point(traffic.surface[w, i], p)
-            for k in range(1, steps + 1):
-                if (k - 1) * STEP > wall or (k - 1) * STEP >= first:
-                    break
-                if dot(normal, minus(point(path, k), here)) + distance < 0.0:
-                    first = (k - 1) * STEP
+            k = 0
+            while k * STEP < first and k * STEP <= wall:
+                if dot(normal, minus(point(path, k + 1), here)) + distance < 0.0:
+                    first = k * STEP
+                k += 1
     return first
 
 
