@@ -63,7 +63,7 @@ from bulletuav.geometry.rotation import (
     minus,
     vec3,
 )
-from bulletuav.vehicle.wing_power import STALL_MARGIN, wing_share
+from bulletuav.vehicle.wing_power import STALL_MARGIN, propeller_speed, wing_share
 
 State = tuple[Vec3, Quat4, Vec3, Vec3]
 """Position (m), quaternion, velocity (m/s) and body rates (rad/s) of one aircraft"""
@@ -226,12 +226,9 @@ def max_forward_thrust(airspeed: float, row: np.record, pilot: AutopilotRow) -> 
 def forward_rotor_speed(
     thrust: float, airspeed: float, row: np.record, pilot: AutopilotRow
 ) -> float:
-    """Return the speed w of each forward rotor for a thrust: k_f w (w - s V) = T / n, rad/s."""
-    if thrust <= 0.0:
-        return 0.0
-    slowed = pilot.thrust_slope * airspeed
-    each = 4.0 * thrust / (row.thrust_coefficient * max(pilot.num_forward, 1))
-    speed = 0.5 * (slowed + math.sqrt(slowed * slowed + each))
+    """Return the speed of each forward rotor for a thrust of all, rad/s."""
+    each = thrust / (row.thrust_coefficient * max(pilot.num_forward, 1))
+    speed = propeller_speed(each, pilot.thrust_slope * airspeed, 1.0)
     return float(min(speed, row.max_rotor_speed))
 
 

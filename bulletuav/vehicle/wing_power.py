@@ -145,6 +145,20 @@ def level_drag(airframe: Airframe, trim: Trim) -> float:
 
 
 @func
+def propeller_speed(thrust: float, loss: float, factor: float) -> float:
+    """Return the speed w of a forward rotor at a thrust k_f w^2 - k_z w V, rad/s.
+
+    Args:
+        thrust: Thrust, N; the rotor stands still if it is not above 0.
+        loss: Loss of thrust per speed k_z V, N s.
+        factor: Thrust per squared speed k_f, N s^2; 1 for thrust and loss divided by it.
+    """
+    if thrust <= 0.0:
+        return 0.0
+    return (loss + math.sqrt(loss * loss + 4.0 * factor * thrust)) / (2.0 * factor)
+
+
+@func
 def forward_power(thrust: float, airspeed: float, wing: WingPower) -> float:
     """Return the power at the shafts of the forward rotors, W.
 
@@ -154,13 +168,8 @@ def forward_power(thrust: float, airspeed: float, wing: WingPower) -> float:
         airspeed: Velocity along their axes, at least 0, m/s.
         wing: Constants of the aircraft.
     """
-    if thrust <= 0.0:
-        return 0.0
-    # k_f w^2 - k_z w V = T
-    loss = wing.drag * airspeed
-    each = thrust / wing.num_rotors
-    root = math.sqrt(loss * loss + 4.0 * wing.thrust_coefficient * each)
-    speed = min((loss + root) / (2.0 * wing.thrust_coefficient), wing.max_rotor_speed)
+    each, loss = thrust / wing.num_rotors, wing.drag * airspeed
+    speed = min(propeller_speed(each, loss, wing.thrust_coefficient), wing.max_rotor_speed)
     return wing.num_rotors * wing.torque_coefficient * (speed * speed * speed)
 
 

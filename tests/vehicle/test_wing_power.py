@@ -13,6 +13,7 @@ from bulletuav.vehicle.power import W20, airframe_wing, propulsion_power
 from bulletuav.vehicle.wing_power import (
     NO_WINGS,
     forward_power,
+    propeller_speed,
     wing_power,
     wing_share,
     winged_power,
@@ -86,6 +87,17 @@ def test_endurance_of_the_trainer_by_hand():
     assert minutes == pytest.approx(30.1, abs=0.1)
     found = 60 * TRAINER.pack.capacity / power_of(TRAINER, (speed, 0.0, 0.0))
     assert found == pytest.approx(minutes, rel=0.02)
+
+
+@pytest.mark.parametrize(("airspeed", "expected"), [(0.0, 278.553), (11.295, 558.959)])
+def test_a_propeller_turns_at_the_speed_of_its_thrust(airspeed, expected):
+    """At rest, 1.160 N need sqrt(T / k_f); the other speed is that of the endurance above."""
+    factor, loss = 1.495e-5, 5.561e-4 * airspeed
+    speed = propeller_speed(1.160, loss, factor)
+    assert speed == pytest.approx(expected, abs=1e-3)
+    assert factor * speed**2 - loss * speed == pytest.approx(1.160, rel=1e-12)
+    assert propeller_speed(1.160 / factor, loss / factor, 1.0) == pytest.approx(speed, rel=1e-12)
+    assert propeller_speed(-1e-9, loss, factor) == 0.0
 
 
 def test_rotors_stand_still_in_a_glide():
