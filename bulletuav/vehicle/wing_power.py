@@ -19,7 +19,6 @@ References:
 import math
 from typing import NamedTuple
 
-from bulletuav.compiled.functions import sin
 from bulletuav.compiled.kernel import func
 from bulletuav.compiled.plain import record_type
 from bulletuav.geometry.rotation import Vec3Like
@@ -95,9 +94,9 @@ def wing_power(airframe: Airframe) -> WingPower:
     limits = find_envelope(airframe)
     weight = airframe.mass * STANDARD_GRAVITY
     slow, fast = limits.min_speed, limits.max_speed
-    # D = a V^2 + b (W / V)^2 at both speeds
+    # D = a V^2 + b (W / V)^2 at both speeds, where the thrust of level flight is the drag
     trims = [find_trim(airframe, v) for v in (slow, fast)]
-    at_slow, at_fast = (level_drag(airframe, trim) for trim in trims)
+    at_slow, at_fast = (trim_thrust(airframe, trim) for trim in trims)
     squares, lift = (slow * slow, fast * fast), weight * weight
     slowest = limits.stall_speed * (STALL_MARGIN if airframe.can_hover else 1.0)
     # Angle of attack: alpha = alpha_0 + s / V^2 at both speeds, and the lift is W V^2 (alpha -
@@ -131,17 +130,6 @@ def trim_thrust(airframe: Airframe, trim: Trim) -> float:
     used = [trim.speed[k] for k in airframe.forward_rotors]
     factor = airframe.thrust_coefficient
     return sum(factor * one * one - airframe.drag_z * one * trim.airspeed for one in used)
-
-
-def level_drag(airframe: Airframe, trim: Trim) -> float:
-    """Compute the drag in a steady flight: thrust less the weight along the flight path, N.
-
-    Args:
-        airframe: An aircraft with wings.
-        trim: Its steady flight.
-    """
-    thrust = trim_thrust(airframe, trim)
-    return thrust - airframe.mass * STANDARD_GRAVITY * sin(trim.climb)
 
 
 @func
