@@ -44,10 +44,6 @@ def quadplane(make_vehicles):
     return Station(make_vehicles(1, "quadplane"))
 
 
-def wings_of(station):
-    return station.vehicle.wings
-
-
 def lift(station, height=40.0, speed=11.0):
     """Arm a fixed wing, and place it in level flight to the north; it loiters."""
     low = station.vehicle.site.altitude + 10.0
@@ -75,7 +71,7 @@ def state(x=0.0, y=0.0, velocity=(0.0, 10.0, 0.0)):
 
 
 def test_a_course_leads_to_a_line_at_45_degrees_from_its_width(trainer):
-    wings = wings_of(trainer)
+    wings = trainer.vehicle.wings
     width = wings.width(state())
     assert wings.line_course(state(), (0.0, 9.0, 0.0), math.pi / 2) == pytest.approx(math.pi / 2)
     east_of_it = wings.line_course(state(x=width), (0.0, 9.0, 0.0), math.pi / 2)
@@ -87,7 +83,7 @@ def test_a_course_leads_to_a_line_at_45_degrees_from_its_width(trainer):
 @pytest.mark.parametrize(("radius", "turn"), [(50.0, -1), (-50.0, 1)])
 def test_a_course_on_a_circle_leads_its_tangent(trainer, radius, turn):
     """East of the centre, the tangent is south clockwise, and north anticlockwise."""
-    wings = wings_of(trainer)
+    wings = trainer.vehicle.wings
     place = state(x=50.0, velocity=(0.0, turn * 10.0, 0.0))
     lead = math.asin(10.0 / (wings._course_rate * 50.0))
     course = wings.circle_course(place, (0.0, 0.0, 50.0), radius)
@@ -98,14 +94,14 @@ def test_courses_in_wind_keep_the_airspeed(make_vehicles):
     """Wind of 5 m/s across, 13 m/s through the air: 12 m/s over ground."""
     station = Station(make_vehicles(1, "quadplane", wind=(5.0, 0.0, 0.0)))
     station.fly(0.01)
-    command = wings_of(station).fly(state(), math.pi / 2, 1.0, 13.0)
+    command = station.vehicle.wings.fly(state(), math.pi / 2, 1.0, 13.0)
     assert command.level == SetpointLevel.VELOCITY
     np.testing.assert_allclose(command.values[:3], (0.0, 12.0, 1.0), atol=1e-12)
     # Flying at 5 m/s against the wind at 13 m/s: the airspeed is too high by 5 m/s
     station = Station(make_vehicles(1, "trainer", wind=(0.0, -8.0, 0.0)))
     station.fly(0.01)
     flying = state(velocity=(0.0, 10.0, 0.0))
-    command = wings_of(station).fly(flying, math.pi / 2, 0.0, 13.0)
+    command = station.vehicle.wings.fly(flying, math.pi / 2, 0.0, 13.0)
     assert command.level == SetpointLevel.ACCELERATION
     np.testing.assert_allclose(command.values[:3], (0.0, -5.0 * SPEED_RATE, 0.0), atol=1e-5)
 
@@ -114,7 +110,7 @@ def test_wings_make_headway_in_strong_wind(make_vehicles):
     station = Station(make_vehicles(1, "trainer", wind=(0.0, -12.0, 0.0)))
     station.fly(0.01)
     flying = state(velocity=(0.0, 5.0, 0.0))
-    command = wings_of(station).fly(flying, math.pi / 2, 0.0, 10.0)
+    command = station.vehicle.wings.fly(flying, math.pi / 2, 0.0, 10.0)
     np.testing.assert_allclose(command.values[:2], 0.0, atol=1e-5)
 
 
@@ -138,7 +134,7 @@ def test_a_fixed_wing_takes_off_and_loiters(trainer):
     np.testing.assert_allclose(found, radius, atol=1.0)
     assert trainer.place[2] == pytest.approx(-25.0, abs=1.0)
     hud = messages(trainer.fly(1.0), "VFR_HUD")[-1]
-    assert hud.airspeed == pytest.approx(wings_of(trainer).speed, abs=0.3)
+    assert hud.airspeed == pytest.approx(trainer.vehicle.wings.speed, abs=0.3)
     assert 40 < hud.throttle < 80
 
 
@@ -148,7 +144,7 @@ def test_a_launcher_helps_without_a_runway(trainer):
     trainer.command(400, 1)
     trainer.fly(0.5)
     # v = a t: 12 m/s after 0.4 s at 30 m/s^2
-    assert wings_of(trainer).airspeed(trainer.pilot.state) == pytest.approx(12.0, abs=1.0)
+    assert trainer.vehicle.wings.airspeed(trainer.pilot.state) == pytest.approx(12.0, abs=1.0)
     trainer.fly(5.0)
     assert -trainer.place[2] > 10.0
 
@@ -175,7 +171,7 @@ def test_waypoints_are_passed_and_turns_counted(trainer):
     assert sorted(times) == [0, 1, 2, 3]
     assert (least <= 10.0).all()
     # One turn of 40 m after the way to the circle, 40 m at most
-    speed = wings_of(trainer).speed
+    speed = trainer.vehicle.wings.speed
     assert math.tau * 40 / speed < times[3] - times[2] < (math.tau * 40 + 80) / speed
     x, y = trainer.place[:2]
     vy, vx = trainer.pilot.state[2][:2]
@@ -210,7 +206,7 @@ def test_it_holds_goes_to_places_and_changes_height_and_speed(trainer):
     assert trainer.command(186, 45.0, 3)[0] == ACCEPTED
     trainer.fly(15.0)
     assert trainer.place[2] == pytest.approx(-45.0, abs=1.0)
-    assert wings_of(trainer).airspeed(trainer.pilot.state) == pytest.approx(14.0, abs=0.5)
+    assert trainer.vehicle.wings.airspeed(trainer.pilot.state) == pytest.approx(14.0, abs=0.5)
     spot = trainer.degrees(80.0, 20.0)
     numbers = (-1, 0, -50.0, NAN, *spot, altitude + 40.0)
     assert trainer.command(192, *numbers)[0] == ACCEPTED
@@ -229,7 +225,9 @@ def test_a_return_circles_home_and_lands_if_it_is_to(trainer):
     lift(trainer)
     assert trainer.mode(RETURN) == ACCEPTED
     trainer.fly(50.0)
-    np.testing.assert_allclose(distances(trainer, 0.0, 0.0, 5.0), wings_of(trainer).radius, atol=1)
+    np.testing.assert_allclose(
+        distances(trainer, 0.0, 0.0, 5.0), trainer.vehicle.wings.radius, atol=1
+    )
     assert trainer.pilot.mode == Mode.RETURN
     assert trainer.place[2] == pytest.approx(-30.0, abs=1.0)
     trainer.set_parameter("RTL_LAND_DELAY", 0.0)
@@ -245,8 +243,8 @@ def test_a_breach_of_the_fence_makes_it_loiter(trainer):
     heard = trainer.fly(12.0, lambda: trainer.velocity(12.0, 0.0, 0.0))
     assert any("GF_MAX_HOR_DIST" in one for one in texts(heard))
     assert trainer.pilot.mode == Mode.HOLD
-    speed = wings_of(trainer).airspeed(trainer.pilot.state)
-    assert speed > wings_of(trainer).stall_speed
+    speed = trainer.vehicle.wings.airspeed(trainer.pilot.state)
+    assert speed > trainer.vehicle.wings.stall_speed
 
 
 def test_offboard_positions_are_circled_and_thrust_is_of_the_forward_rotor(trainer):
@@ -262,7 +260,7 @@ def test_offboard_positions_are_circled_and_thrust_is_of_the_forward_rotor(train
         found.append(math.dist(trainer.place[:2], goal[:2]))
 
     trainer.fly(5.0, look)
-    np.testing.assert_allclose(found, wings_of(trainer).radius, atol=1.5)
+    np.testing.assert_allclose(found, trainer.vehicle.wings.radius, atol=1.5)
     level = (0, *trainer.target, 0b111, [1.0, 0.0, 0.0, 0.0], 0, 0, 0, 0.5)
     trainer.send("set_attitude_target", *level)
     airframe = trainer.fleet.airspace.airframes[0]
@@ -332,7 +330,7 @@ def test_a_vtol_flies_on_its_wings_and_back(quadplane):
     states = [one.vtol_state for one in messages(heard, "EXTENDED_SYS_STATE")]
     assert states[0] == common.MAV_VTOL_STATE_TRANSITION_TO_FW
     assert states[-1] == common.MAV_VTOL_STATE_FW
-    assert messages(heard, "VFR_HUD")[-1].airspeed > wings_of(quadplane).min_speed
+    assert messages(heard, "VFR_HUD")[-1].airspeed > quadplane.vehicle.wings.min_speed
     lift_rotors = quadplane.fleet.airspace.swarm.rotor_speed[0, :4]
     np.testing.assert_allclose(lift_rotors, 0.0, atol=1.0)
     assert quadplane.command(TRANSITION, TO_ROTORS)[0] == ACCEPTED
@@ -373,10 +371,10 @@ def test_a_mission_of_a_vtol_takes_off_and_lands_on_rotors(quadplane):
     fastest = 0.0
     for _ in range(150):
         heard = quadplane.fly(1.0)
-        fastest = max(fastest, wings_of(quadplane).airspeed(quadplane.pilot.state))
+        fastest = max(fastest, quadplane.vehicle.wings.airspeed(quadplane.pilot.state))
         if "disarmed after landing" in texts(heard):
             break
-    assert fastest > wings_of(quadplane).min_speed
+    assert fastest > quadplane.vehicle.wings.min_speed
     np.testing.assert_allclose(quadplane.place, 0.0, atol=0.5)
 
 
@@ -395,4 +393,4 @@ def test_holding_on_wings_is_a_loiter(trainer):
     lift(trainer)
     assert trainer.mode(HOLD) == ACCEPTED
     trainer.fly(20.0)
-    assert np.linalg.norm(trainer.pilot.state[2][:2]) > wings_of(trainer).stall_speed
+    assert np.linalg.norm(trainer.pilot.state[2][:2]) > trainer.vehicle.wings.stall_speed
