@@ -432,16 +432,11 @@ class Pilot:
         self._require_flying()
         if self._wings.is_forward == is_forward:
             return
-        self._wings.is_forward = is_forward
         mode = self.mode
         if mode in (Mode.TAKEOFF, Mode.ORBIT):
             mode = self.mode = Mode.HOLD
         self.route.set_current_item(self.route.current)
-        self._motion = (
-            Transition(self._wings, self.state, self.now)
-            if is_forward
-            else Brake(self.state, self.now)
-        )
+        self._motion = self._wings.start_transition(is_forward, self.state, self.now)
         self._next_motion = lambda: self._start_motion(mode)
 
     def orbit(self, plan: OrbitPlan) -> None:
@@ -623,8 +618,7 @@ class Pilot:
         """
         x, y, _ = self.state[0] if goal is None else goal
         if wings.can_hover:
-            wings.is_forward = False
-            yield Brake(self.state, self.now)
+            yield wings.start_transition(False, self.state, self.now)
             if goal is not None:
                 yield self._leg(goal, self._values["MPC_XY_CRUISE"], Heading(forward=True))
             yield self._land()

@@ -30,11 +30,9 @@ from bulletuav.bridges.mavlink_items import (
 from bulletuav.bridges.mavlink_protocol import Mode
 from bulletuav.bridges.mavlink_wings import (
     ON_WINGS,
-    Brake,
     ClimbOut,
     Launch,
     Loiter,
-    Transition,
     WingFlight,
     WingLeg,
     plan_landing,
@@ -259,11 +257,7 @@ class Route:
         wings = self._wings
         if wings is None or wings.is_forward == is_forward or self._has_landed:
             return
-        wings.is_forward = is_forward
-        if is_forward:
-            yield Transition(wings, self._state, self._now)
-        else:
-            yield Brake(self._state, self._now)
+        yield wings.start_transition(is_forward, self._state, self._now)
 
     def _wing_item_motions(self, item: MissionItem) -> Iterator[MotionPrimitive | Mode]:
         """Yield the motions of an item with a position, on wings."""

@@ -94,7 +94,8 @@ class WingFlight:
             get_wind: Function that returns the velocity of the air at the vehicle, (3,), m/s.
         """
         self.can_hover, self.values, self._get_wind = airframe.can_hover, values, get_wind
-        self.is_forward, self.chosen_speed = not airframe.can_hover, None
+        self.is_forward = not airframe.can_hover
+        self.chosen_speed: float | None = None
         self.mass, self.max_thrust = airframe.mass, forward_thrust(airframe)
         self.stall_speed, self.min_speed = float(row["stall_speed"]), float(row["min_speed"])
         self.max_climb, self._course_rate = float(row["max_climb"]), float(row["course_rate"])
@@ -104,7 +105,10 @@ class WingFlight:
         """Return to the state on the ground, after disarming."""
         self.is_forward, self.chosen_speed = not self.can_hover, None
 
-    chosen_speed: float | None
+    def start_transition(self, is_forward: bool, state: State, now: float) -> MotionPrimitive:
+        """Change a VTOL to flight on wings or on rotors, and return the motion that does so."""
+        self.is_forward = is_forward
+        return Transition(self, state, now) if is_forward else Brake(state, now)
 
     @property
     def speed(self) -> float:
