@@ -8,6 +8,7 @@ import pytest
 
 from bulletuav.compiled import functions
 from bulletuav.compiled.kernel import kernel
+from bulletuav.compiled.lanes import WIDTH, lane_zeros, lanes_of
 
 mpmath.mp.prec = 200
 RNG = np.random.default_rng(0)
@@ -155,3 +156,36 @@ def test_compiled_code_gets_the_bits_of_arrays():
 
 def test_the_length_of_a_vector():
     assert functions.hypot(3.0, -4.0) == 5.0
+
+
+def test_fma_rounds_once():
+    """(1 + h) (1 - h) - 1 = -h^2 exactly, which products lose: 1 - 2^-60 rounds to 1."""
+    h = 2.0**-30
+
+    @kernel
+    def compiled(x, y, z):
+        return functions.fma(x, y, z)
+
+    @kernel
+    def in_lanes(given, result):
+        numbers, results = lanes_of(given, 0), lanes_of(result, 0)
+        results[0] = functions.fma(numbers[0], numbers[1], numbers[2])
+        results[1] = functions.fma(numbers[0], 0.1, numbers[2])
+
+    assert (1 + h) * (1 - h) - 1 == 0.0
+    assert functions.fma(1 + h, 1 - h, -1.0) == compiled(1 + h, 1 - h, -1.0) == -(h**2)
+    cases = RNG.normal(size=(200, 3)) * 2.0 ** RNG.integers(-40, 40, (200, 3))
+    special = (0.0, -0.0, 1.0, -1.0, 1e308, -1e308, 5e-324, math.inf, -math.inf, math.nan)
+    corners = [(x, y, z) for x in special for y in special for z in special]
+    for x, y, z in [*cases.tolist(), *corners]:
+        got, expected = compiled(x, y, z), functions.fma(x, y, z)
+        assert got == expected or (math.isnan(got) and math.isnan(expected)), (x, y, z)
+        assert math.copysign(1, got) == math.copysign(1, expected) or math.isnan(got), (x, y, z)
+    for x, y, z in cases.tolist():
+        exact = mpmath.mpf(x) * mpmath.mpf(y) + mpmath.mpf(z)
+        assert functions.fma(x, y, z) == float(exact)
+    given, result = lane_zeros(1, 3), lane_zeros(1, 2)
+    given[0] = cases[:WIDTH].T
+    in_lanes(given, result)
+    assert result[0, 0].tolist() == [functions.fma(*one) for one in cases[:WIDTH].tolist()]
+    assert result[0, 1].tolist() == [functions.fma(x, 0.1, z) for x, _, z in cases[:WIDTH].tolist()]

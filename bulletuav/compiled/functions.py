@@ -3,23 +3,26 @@
 The functions of C libraries and of NumPy differ in the last bit between processors. These functions
 use only sums, products, quotients and square roots, which IEEE 754 rounds correctly. Errors are
 below four units in the last place, and below one for `exp` and `log`. The functions take numbers in
-compiled code, and also arrays in Python.
+compiled code, and also arrays in Python. `fma`, which IEEE 754 rounds correctly, too, is for
+numbers and lanes.
 
 Methods: argument reduction by W. J. Cody and W. Waite, Software Manual for the Elementary Functions
 (1980), and Taylor series of the reduced argument.
 """
 
 import math
+from fractions import Fraction
 from typing import Any
 
 import numpy as np
 from llvmlite import ir
 from numba import types
+from numba.core import cgutils
 from numba.extending import intrinsic
 
 from bulletuav.compiled.kernel import elementwise, func
-from bulletuav.compiled.lanes import LANES, WIDTH
-from bulletuav.compiled.plain import in_python
+from bulletuav.compiled.lanes import LANES, VECTOR, WIDTH
+from bulletuav.compiled.plain import LaneNumbers, in_python
 
 PI = math.pi
 LN2 = 0.6931471805599453
@@ -60,6 +63,52 @@ def two_to(_: Any, exponent: Any) -> Any:
         return builder.bitcast(builder.shl(biased, words([52] * WIDTH)), values[0].type)
 
     return (LANES(LANES) if exponent == LANES else types.float64(types.int64)), generate
+
+
+def _fma_of_numbers(x: float, y: float, z: float) -> np.float64:
+    """Return x y + z of numbers, rounded once: Python 3.13 has `math.fma`, earlier versions not."""
+    if math.isfinite(x) and math.isfinite(y):
+        if not math.isfinite(z):
+            return np.float64(z)
+        exact = Fraction(float(x)) * Fraction(float(y)) + Fraction(float(z))
+        try:
+            if exact != 0:
+                return np.float64(float(exact))
+        except OverflowError:
+            return np.float64(math.inf if exact > 0 else -math.inf)
+    # Infinite and NaN factors, and the sign of 0
+    with np.errstate(all="ignore"):
+        return np.float64(x) * np.float64(y) + np.float64(z)
+
+
+def _fma(x: Any, y: Any, z: Any) -> Any:
+    """Python version of `fma`."""
+    if any(isinstance(one, np.ndarray) for one in (x, y, z)):
+        return np.vectorize(_fma_of_numbers, otypes=[np.float64])(x, y, z).view(LaneNumbers)
+    return _fma_of_numbers(x, y, z)
+
+
+@in_python(_fma)
+@intrinsic  # type: ignore[untyped-decorator]
+def fma(_: Any, x: Any, y: Any, z: Any) -> Any:
+    """Return x y + z with a single rounding (fused multiply-add), for floats or in each lane.
+
+    Processors compute it as fast as a product. Those of before 2013 have no instruction for it, and
+    take many times longer. The compiler never fuses a product and a sum on its own.
+    """
+    kind = LANES if LANES in (x, y, z) else types.float64
+    name, value = (f"v{WIDTH}f64", VECTOR) if kind == LANES else ("f64", ir.DoubleType())
+
+    def generate(context: Any, builder: Any, given: Any, values: Any) -> Any:
+        numbers = [
+            context.cast(builder, one, part, kind)
+            for one, part in zip(values, given.args, strict=True)
+        ]
+        fused = ir.FunctionType(value, [value] * 3)
+        function = cgutils.get_or_insert_function(builder.module, fused, f"llvm.fma.{name}")
+        return builder.call(function, numbers)
+
+    return kind(x, y, z), generate
 
 
 @elementwise
