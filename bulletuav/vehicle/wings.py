@@ -5,7 +5,8 @@ moments that are linear or quadratic in the position, such as roll damping. A pa
 in the angle of attack below the stall, and that of an inclined flat plate above it; a cubic blends
 them. The flow along the span is neglected (independence principle).
 
-Sines and cosines of the angle of attack are ratios of velocities, so no angle is computed.
+Sines and cosines of the angle of attack are ratios of velocities, so no angle is computed. Most
+products and sums are fused: fewer operations, and fewer roundings.
 
 References:
     W. Khan, M. Nahon, Real-time modeling of agile fixed-wing UAV aerodynamics, ICUAS 2015: the
@@ -19,11 +20,11 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from bulletuav.compiled.functions import atan2, cos, exp, sin
+from bulletuav.compiled.functions import atan2, cos, exp, fma, sin
 from bulletuav.compiled.kernel import func
 from bulletuav.compiled.lanes import is_any, where
 from bulletuav.compiled.plain import record_type
-from bulletuav.geometry.rotation import Quat4Like, Vec3, Vec3Like, axes, cross, dot, minus, plus
+from bulletuav.geometry.rotation import Quat4Like, Vec3, Vec3Like, axes, cross, minus, plus
 from bulletuav.vehicle.airframe import DENSITY, MAX_ROTORS, MAX_WINGS, Airframe, Wing
 from bulletuav.vehicle.parameters import ParameterRow
 from bulletuav.vehicle.wrench import Surroundings
@@ -58,6 +59,7 @@ WINGS = record_type(
         ("jet_area", "f8"),
         ("chord_axis", "f8", (MAX_PANELS, 3)),
         ("normal", "f8", (MAX_PANELS, 3)),
+        ("down_axis", "f8", (MAX_PANELS, 3)),
         ("chord_arm", "f8", (MAX_PANELS, 3)),
         ("normal_arm", "f8", (MAX_PANELS, 3)),
         ("moment_axis", "f8", (MAX_PANELS, 3)),
@@ -69,7 +71,6 @@ WINGS = record_type(
         ("drag", "f8", MAX_PANELS),
         ("moment", "f8", MAX_PANELS),
         ("plate", "f8", MAX_PANELS),
-        ("downwash", "f8", (MAX_PANELS, 2)),
         ("slipstream", "f8", MAX_PANELS),
         ("flap_lift", "f8", MAX_PANELS),
         ("flap_moment", "f8", MAX_PANELS),
@@ -94,6 +95,8 @@ class WingRow(Protocol):
         jet_area: Disc area of all forward rotors, m^2; 0 without any.
         chord_axis: (MAX_PANELS, 3) unit vector along the chord, towards the leading edge.
         normal: (MAX_PANELS, 3) unit vector across the panel.
+        down_axis: (MAX_PANELS, 3) velocity against the normal per velocity of the aircraft, in air
+            that a wing ahead turns down.
         chord_arm: (MAX_PANELS, 3) moment of a unit force along the chord, m.
         normal_arm: (MAX_PANELS, 3) moment of a unit force along the normal, m.
         moment_axis: (MAX_PANELS, 3) moment of a unit pitching moment coefficient per force, m.
@@ -105,8 +108,6 @@ class WingRow(Protocol):
         drag: (MAX_PANELS,) drag coefficient without lift.
         moment: (MAX_PANELS,) pitching moment coefficient about the quarter chord.
         plate: (MAX_PANELS,) reduction of the flat plate's normal force by the aspect ratio.
-        downwash: (MAX_PANELS, 2) angle by which a wing ahead turns the flow down, per angle of
-            attack of the body, and at an angle of 0, rad.
         slipstream: (MAX_PANELS,) fraction of the panel in the slipstream of the forward rotors.
         flap_lift: (MAX_PANELS,) change of the angle of attack per deflection.
         flap_moment: (MAX_PANELS,) change of the moment coefficient per deflection, 1/rad.
@@ -124,6 +125,7 @@ class WingRow(Protocol):
     jet_area: float
     chord_axis: np.ndarray
     normal: np.ndarray
+    down_axis: np.ndarray
     chord_arm: np.ndarray
     normal_arm: np.ndarray
     moment_axis: np.ndarray
@@ -135,7 +137,6 @@ class WingRow(Protocol):
     drag: np.ndarray
     moment: np.ndarray
     plate: np.ndarray
-    downwash: np.ndarray
     slipstream: np.ndarray
     flap_lift: np.ndarray
     flap_moment: np.ndarray
@@ -230,8 +231,10 @@ def _write_panel(row: np.record, p: int, side: float, wing: Wing, zero_downwash:
     row["drag"][p] = wing.drag
     row["moment"][p] = wing.moment
     row["plate"][p] = 0.41 * (1.0 - exp(-17.0 / wing.aspect_ratio))
+    # A wing ahead turns the flow down by a part of its angle of attack, zero_downwash - v_z / v_x.
     # The downwash is vertical, and so not felt by fins
-    row["downwash"][p] = wing.downwash * normal[2], wing.downwash * normal[2] * zero_downwash
+    washed = wing.downwash * normal[2]
+    row["down_axis"][p] = -normal[0] - washed * zero_downwash, -normal[1], washed - normal[2]
     row["slipstream"][p] = wing.slipstream
     if wing.surface is not None:
         lift, moment = flap_derivatives(wing.surface.chord_fraction)
@@ -269,10 +272,33 @@ def deflection_after(deflection: float, command: float, k: int, dt: float, wing:
 
 
 @func
-def panel_coefficients(
+def _add_scaled(a: Vec3Like, scale: float, b: Vec3Like) -> Vec3:
+    """Return a + scale b, by fused multiply-adds."""
+    return fma(scale, b[0], a[0]), fma(scale, b[1], a[1]), fma(scale, b[2], a[2])
+
+
+@func
+def _add_dot(start: float, a: Vec3Like, b: Vec3Like) -> float:
+    """Return start + a . b, by fused multiply-adds."""
+    total: float = fma(a[0], b[0], fma(a[1], b[1], fma(a[2], b[2], start)))
+    return total
+
+
+@func
+def _add_cross(start: Vec3Like, a: Vec3Like, b: Vec3Like) -> Vec3:
+    """Return start + a x b, by fused multiply-adds."""
+    return (
+        fma(a[1], b[2], fma(-a[2], b[1], start[0])),
+        fma(a[2], b[0], fma(-a[0], b[2], start[1])),
+        fma(a[0], b[1], fma(-a[1], b[0], start[2])),
+    )
+
+
+@func
+def attached_flow(
     sine: float, cosine: float, shift: float, moment: float, p: int, wing: WingRow
-) -> tuple[float, float, float]:
-    """Compute the lift, drag and moment coefficients of panel p.
+) -> tuple[float, float, float, float]:
+    """Compute the lift, drag and moment coefficients of panel p in attached flow.
 
     Args:
         sine: Sine of the angle of attack.
@@ -283,72 +309,106 @@ def panel_coefficients(
         wing: Row of `WINGS`.
 
     Returns:
-        The coefficients; the moment is about the quarter chord, positive if it raises the leading
-        edge.
+        The coefficients, of which the moment is about the quarter chord and positive if it raises
+        the leading edge; and the angle beyond the start of the stall, rad, which is 1 if the air
+        comes from behind. Above 0, the flow is separated, see `separated_flow`.
     """
-    # Attached flow. The series of the arcsine is exact to 4e-4 rad up to 20 degrees
-    angle = sine * (1.0 + sine * sine * (1.0 / 6.0)) - wing.zero_lift[p]
+    # The series of the arcsine is exact to 4e-4 rad up to 20 degrees
+    angle = fma(sine, fma(sine * sine, 1.0 / 6.0, 1.0), -wing.zero_lift[p])
     lift = wing.lift_slope[p] * (angle + shift)
-    drag = wing.drag[p] + wing.induced[p] * lift * lift
-    pitch = wing.moment[p] + moment
-    beyond = abs(angle + STALL_SHIFT * shift) - wing.stall[p]
-    is_apart = where(cosine > 0.0, beyond, 1.0) > 0.0
-    # In most flights, the flow is attached in all lanes
-    if is_any(is_apart):
-        # Separated flow: an inclined flat plate, with friction along the chord
-        size = abs(sine)
-        across = FLAT_PLATE_DRAG * sine * (1.0 / (0.56 + 0.44 * size) - wing.plate[p])
-        along = 0.5 * wing.drag[p] * cosine
-        plate_lift = across * cosine - along * sine
-        plate_drag = across * sine + along * cosine
-        # The centre of pressure moves from 0.325 to 0.675 of the chord, as the air turns from ahead
-        # to behind. Khan and Nahon have 2 / pi times the angle in place of the sine
-        turn = where(cosine > 0.0, 0.175, -0.175)
-        plate_pitch = across * (turn * (1.0 - size) - 0.25)
-        # Smooth step from attached to separated flow
-        step = where(cosine > 0.0, min(max(beyond * (1.0 / STALL_WIDTH), 0.0), 1.0), 1.0)
-        apart = step * step * (3.0 - 2.0 * step)
-        lift = where(is_apart, lift + apart * (plate_lift - lift), lift)
-        drag = where(is_apart, drag + apart * (plate_drag - drag), drag)
-        pitch = where(is_apart, pitch + apart * (plate_pitch - pitch), pitch)
-    return lift, drag, pitch
+    drag = fma(wing.induced[p] * lift, lift, wing.drag[p])
+    beyond = abs(fma(STALL_SHIFT, shift, angle)) - wing.stall[p]
+    return lift, drag, wing.moment[p] + moment, where(cosine > 0.0, beyond, 1.0)
 
 
 @func
-def panel_forces(
-    ahead: float, down: float, shift: float, moment: float, p: int, wing: WingRow
-) -> tuple[float, float, float]:
-    """Compute the forces on panel p along its chord and its normal, and its pitching moment.
+def separated_flow(
+    attached: tuple[float, float, float, float], sine: float, cosine: float, p: int, wing: WingRow
+) -> tuple[float, float, float, float]:
+    """Blend the coefficients of panel p from attached flow to separated flow.
+
+    Separated flow is that of an inclined flat plate, with friction along the chord.
 
     Args:
-        ahead: Velocity of the panel through the air along its chord, m/s.
-        down: Velocity of the panel through the air against its normal, m/s.
-        shift: Change of the angle of attack by the control surface, rad.
-        moment: Change of the moment coefficient by the control surface.
+        attached: Result of `attached_flow`.
+        sine: Sine of the angle of attack.
+        cosine: Cosine of the angle of attack.
         p: Index of the panel.
         wing: Row of `WINGS`.
 
     Returns:
-        Forces, N, and the moment about the quarter chord per length of the chord, N.
+        The coefficients, and the angle beyond the stall; unchanged where the flow is attached.
     """
-    square = ahead * ahead + down * down + _SLOWEST
+    lift, drag, pitch, beyond = attached
+    size = abs(sine)
+    across = FLAT_PLATE_DRAG * sine * (1.0 / (0.56 + 0.44 * size) - wing.plate[p])
+    along = 0.5 * wing.drag[p] * cosine
+    plate_lift = across * cosine - along * sine
+    plate_drag = across * sine + along * cosine
+    # The centre of pressure moves from 0.325 to 0.675 of the chord, as the air turns from ahead to
+    # behind. Khan and Nahon have 2 / pi times the angle in place of the sine
+    turn = where(cosine > 0.0, 0.175, -0.175)
+    plate_pitch = across * (turn * (1.0 - size) - 0.25)
+    # Smooth step
+    step = min(max(beyond * (1.0 / STALL_WIDTH), 0.0), 1.0)
+    apart = step * step * (3.0 - 2.0 * step)
+    is_apart = beyond > 0.0
+    return (
+        where(is_apart, lift + apart * (plate_lift - lift), lift),
+        where(is_apart, drag + apart * (plate_drag - drag), drag),
+        where(is_apart, pitch + apart * (plate_pitch - pitch), pitch),
+        beyond,
+    )
+
+
+@func
+def _air_at_panel(ahead: float, down: float) -> tuple[float, float, float]:
+    """Return the squared airspeed of a panel, and sine and cosine of its angle of attack.
+
+    Args:
+        ahead: Velocity of the panel through the air along its chord, m/s.
+        down: Velocity of the panel through the air against its normal, m/s.
+    """
+    square = fma(ahead, ahead, fma(down, down, _SLOWEST))
     slow = 1.0 / math.sqrt(square)
-    sine, cosine = down * slow, ahead * slow
-    lift, drag, pitch = panel_coefficients(sine, cosine, shift, moment, p, wing)
+    return square, down * slow, ahead * slow
+
+
+@func
+def _panel_forces(
+    air: tuple[float, float, float],
+    coefficients: tuple[float, float, float, float],
+    p: int,
+    wing: WingRow,
+) -> tuple[float, float, float]:
+    """Return the forces on panel p along its chord and its normal, N, and its pitching moment.
+
+    The moment is about the quarter chord per length of the chord, N. Arguments are the results of
+    `_air_at_panel` and `attached_flow`.
+    """
+    square, sine, cosine = air
+    lift, drag, pitch, _ = coefficients
     pressure = wing.half_density_area[p] * square
     # Lift is across the flow, drag along it
-    forward = pressure * (lift * sine - drag * cosine)
-    upward = pressure * (lift * cosine + drag * sine)
+    forward = pressure * fma(lift, sine, -drag * cosine)
+    upward = pressure * fma(lift, cosine, drag * sine)
     return forward, upward, pressure * pitch
 
 
 @func
-def wing_wrench(
-    velocity: Vec3, rates: Vec3, thrust: float, deflection: np.ndarray, k: int, wing: WingRow
+def add_wing(
+    wrench: tuple[Vec3, Vec3],
+    velocity: Vec3,
+    rates: Vec3,
+    thrust: float,
+    deflection: np.ndarray,
+    k: int,
+    wing: WingRow,
 ) -> tuple[Vec3, Vec3]:
-    """Compute the force and moment of wing k: of its panels 2 k and 2 k + 1.
+    """Add the force and moment of wing k: of its panels 2 k and 2 k + 1.
 
     Args:
+        wrench: Force (N) and moment about the centre of mass (N m), body axes.
         velocity: Velocity of the centre of mass relative to the air, body axes, m/s.
         rates: Angular velocity, body axes, rad/s.
         thrust: Thrust of the forward rotors, N.
@@ -357,46 +417,49 @@ def wing_wrench(
         wing: Row of `WINGS`.
 
     Returns:
-        Force (N) and moment about the centre of mass (N m), body axes.
+        The sum of force and moment.
     """
     # Both panels have the same constants but for their arms
     p, q = 2 * k, 2 * k + 1
+    jet = 0.0
+    if wing.slipstream[p] > 0.0:
+        # The fraction of the area in the jet has the mean dynamic pressure of all its parts
+        jet = slipstream_velocity(wing.slipstream[p] * thrust, velocity[0], wing.jet_area)
     chord = (wing.chord_axis[p, 0], wing.chord_axis[p, 1], wing.chord_axis[p, 2])
     normal = (wing.normal[p, 0], wing.normal[p, 1], wing.normal[p, 2])
-    axis = (wing.moment_axis[p, 0], wing.moment_axis[p, 1], wing.moment_axis[p, 2])
+    descent = (wing.down_axis[p, 0], wing.down_axis[p, 1], wing.down_axis[p, 2])
     chord_arm = (wing.chord_arm[p, 0], wing.chord_arm[p, 1], wing.chord_arm[p, 2])
     normal_arm = (wing.normal_arm[p, 0], wing.normal_arm[p, 1], wing.normal_arm[p, 2])
     other_chord_arm = (wing.chord_arm[q, 0], wing.chord_arm[q, 1], wing.chord_arm[q, 2])
     other_normal_arm = (wing.normal_arm[q, 0], wing.normal_arm[q, 1], wing.normal_arm[q, 2])
     # Velocity through the air, along the chord and against the normal:
     # (w x r) . n = w . (r x n)
-    ahead = dot(chord, velocity)
-    if wing.slipstream[p] > 0.0:
-        # The fraction of the area in the jet has the mean dynamic pressure of all its parts
-        ahead += slipstream_velocity(wing.slipstream[p] * thrust, velocity[0], wing.jet_area)
-    # The wing ahead turns the flow down by a part of its own angle of attack
-    washed = wing.downwash[p, 0] * velocity[2] - wing.downwash[p, 1] * velocity[0]
-    down = washed - dot(normal, velocity)
+    ahead, down = _add_dot(jet, chord, velocity), _add_dot(0.0, descent, velocity)
     turned = deflection[wing.panel_surface[p]]
     shift, moment = wing.flap_lift[p] * turned, wing.flap_moment[p] * turned
-    forward, upward, raised = panel_forces(
-        ahead + dot(chord_arm, rates), down - dot(normal_arm, rates), shift, moment, p, wing
+    against = (-rates[0], -rates[1], -rates[2])
+    air = _air_at_panel(_add_dot(ahead, chord_arm, rates), _add_dot(down, normal_arm, against))
+    other_air = _air_at_panel(
+        _add_dot(ahead, other_chord_arm, rates), _add_dot(down, other_normal_arm, against)
     )
-    other_forward, other_upward, other_raised = panel_forces(
-        ahead + dot(other_chord_arm, rates),
-        down - dot(other_normal_arm, rates),
-        shift,
-        moment,
-        q,
-        wing,
-    )
-    along, across = forward + other_forward, upward + other_upward
-    both = raised + other_raised
-    force = plus((along * chord[0], along * chord[1], along * chord[2]), across, normal)
-    torque = plus((both * axis[0], both * axis[1], both * axis[2]), forward, chord_arm)
-    torque = plus(torque, upward, normal_arm)
-    torque = plus(torque, other_forward, other_chord_arm)
-    return force, plus(torque, other_upward, other_normal_arm)
+    flow = attached_flow(air[1], air[2], shift, moment, p, wing)
+    other_flow = attached_flow(other_air[1], other_air[2], shift, moment, q, wing)
+    # In most flights, the flow is attached in all lanes. Without a branch between them, processors
+    # compute both panels at the same time
+    if is_any(max(flow[3], other_flow[3]) > 0.0):
+        flow = separated_flow(flow, air[1], air[2], p, wing)
+        other_flow = separated_flow(other_flow, other_air[1], other_air[2], q, wing)
+    forward, upward, raised = _panel_forces(air, flow, p, wing)
+    other_forward, other_upward, other_raised = _panel_forces(other_air, other_flow, q, wing)
+    axis = (wing.moment_axis[p, 0], wing.moment_axis[p, 1], wing.moment_axis[p, 2])
+    force, torque = wrench
+    force = _add_scaled(force, forward + other_forward, chord)
+    force = _add_scaled(force, upward + other_upward, normal)
+    torque = _add_scaled(torque, raised + other_raised, axis)
+    torque = _add_scaled(torque, forward, chord_arm)
+    torque = _add_scaled(torque, upward, normal_arm)
+    torque = _add_scaled(torque, other_forward, other_chord_arm)
+    return force, _add_scaled(torque, other_upward, other_normal_arm)
 
 
 @func
@@ -422,31 +485,36 @@ def propeller_wrench(
     """
     force: Vec3 = (0.0, 0.0, 0.0)
     torque: Vec3 = (0.0, 0.0, 0.0)
-    # Angular momentum, and thrust along +x
-    along_x, along_z, pushing = 0.0, 0.0, 0.0
+    # Sums of turn w and turn w^2 of the rotors along x and z, and the thrust along +x
+    spin_x, spin_z, square_x, square_z, pushing = 0.0, 0.0, 0.0, 0.0, 0.0
+    slope = row.thrust_coefficient * wing.thrust_slope
     for r in range(row.num_rotors):
-        now, turn = speed[r], row.rotor_turn[r]
+        now = speed[r]
+        turned = row.rotor_turn[r] * now
         point = (row.rotor_x[r], row.rotor_y[r], wing.rotor_z[r])
-        v = plus(velocity, 1.0, cross(rates, point))
+        v = _add_cross(velocity, rates, point)
         thrust = row.thrust_coefficient * (now * now)
-        across = row.drag_xy * now
-        reaction = row.torque_coefficient * turn * (now * now)
-        # A rotor spins opposite to the torque that it exerts on the body
-        momentum = -row.rotor_inertia * turn * now
+        across = -row.drag_xy * now
         if wing.forward[r] > 0.0:
-            slope = row.thrust_coefficient * wing.thrust_slope
-            pushed = (thrust - slope * now * v[0], -across * v[1], -across * v[2])
+            pushed = (fma(-slope * now, v[0], thrust), across * v[1], across * v[2])
             pushing += pushed[0]
-            along_x += momentum
-            torque = (torque[0] + reaction, torque[1], torque[2])
+            spin_x += turned
+            square_x = fma(turned, now, square_x)
         else:
-            pushed = (-across * v[0], -across * v[1], thrust - row.drag_z * now * v[2])
-            along_z += momentum
-            torque = (torque[0], torque[1], torque[2] + reaction)
+            pushed = (across * v[0], across * v[1], fma(-row.drag_z * now, v[2], thrust))
+            spin_z += turned
+            square_z = fma(turned, now, square_z)
         force = plus(force, 1.0, pushed)
-        torque = plus(torque, 1.0, cross(point, pushed))
-    # Gyroscopic torque of the spinning rotors
-    return force, minus(torque, cross(rates, (along_x, 0.0, along_z))), pushing
+        torque = _add_cross(torque, point, pushed)
+    # Gyroscopic torque of the angular momentum of the rotors, which spin opposite to the torque
+    # that they exert on the body
+    along_x, along_z = -row.rotor_inertia * spin_x, -row.rotor_inertia * spin_z
+    turning = (
+        fma(row.torque_coefficient, square_x, torque[0]),
+        torque[1],
+        fma(row.torque_coefficient, square_z, torque[2]),
+    )
+    return force, _add_cross(turning, (along_x, 0.0, along_z), rates), pushing
 
 
 @func
@@ -499,7 +567,7 @@ def slipstream_velocity(thrust: float, airspeed: float, area: float) -> float:
     ahead = max(airspeed, 0.0)
     # All drones of a block have the same area
     per_thrust = 2.0 / DENSITY / area if area > 0.0 else 0.0
-    return math.sqrt(ahead * ahead + per_thrust * max(thrust, 0.0)) - ahead
+    return math.sqrt(fma(ahead, ahead, per_thrust * max(thrust, 0.0))) - ahead
 
 
 @func
@@ -532,18 +600,15 @@ def winged_wrench(
     wind, _, gravity, push, twist = around
     ahead, left, up = axes(quaternion)
     air = minus(velocity, wind)
-    v = (dot(ahead, air), dot(left, air), dot(up, air))
+    v = (_add_dot(0.0, ahead, air), _add_dot(0.0, left, air), _add_dot(0.0, up, air))
     force, torque, thrust = propeller_wrench(v, rates, speed, row, wing)
     for k in range(wing.num_panels // 2):
-        lifted, turned = wing_wrench(v, rates, thrust, deflection, k, wing)
-        force = plus(force, 1.0, lifted)
-        torque = plus(torque, 1.0, turned)
+        force, torque = add_wing((force, torque), v, rates, thrust, deflection, k, wing)
     # Drag of the fuselage
-    size = math.sqrt(dot(v, v))
-    flat, steep = size * row.body_drag_xy, size * row.body_drag_z
-    body = (force[0] - flat * v[0], force[1] - flat * v[1], force[2] - steep * v[2])
-    return (
-        ahead[0] * body[0] + left[0] * body[1] + up[0] * body[2] + push[0],
-        ahead[1] * body[0] + left[1] * body[1] + up[1] * body[2] + push[1],
-        ahead[2] * body[0] + left[2] * body[1] + up[2] * body[2] + push[2] - row.mass * gravity,
-    ), plus(torque, 1.0, twist)
+    size = math.sqrt(_add_dot(0.0, v, v))
+    flat, steep = -size * row.body_drag_xy, -size * row.body_drag_z
+    body = (fma(flat, v[0], force[0]), fma(flat, v[1], force[1]), fma(steep, v[2], force[2]))
+    x = _add_dot(push[0], body, (ahead[0], left[0], up[0]))
+    y = _add_dot(push[1], body, (ahead[1], left[1], up[1]))
+    z = _add_dot(push[2], body, (ahead[2], left[2], up[2]))
+    return (x, y, fma(-row.mass, gravity, z)), plus(torque, 1.0, twist)

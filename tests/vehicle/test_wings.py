@@ -13,9 +13,10 @@ from bulletuav.vehicle.envelope import air_wrench
 from bulletuav.vehicle.parameters import parameter_rows
 from bulletuav.vehicle.wings import (
     MAX_SURFACES,
+    attached_flow,
     deflection_after,
     flap_derivatives,
-    panel_coefficients,
+    separated_flow,
     slipstream_velocity,
     wing_rows,
 )
@@ -66,7 +67,9 @@ def flat(wing, **changes):
 def coefficients(wing, degrees, shift=0.0):
     row = wing_rows([replace(TRAINER, wings=(wing,))])[0]
     angle = math.radians(degrees)
-    return panel_coefficients(math.sin(angle), math.cos(angle), shift, 0.0, 0, row)
+    sine, cosine = math.sin(angle), math.cos(angle)
+    attached = attached_flow(sine, cosine, shift, 0.0, 0, row)
+    return separated_flow(attached, sine, cosine, 0, row)[:3]
 
 
 def test_attached_flow_by_hand():
