@@ -8,6 +8,9 @@ attitude loop, which runs in every substep as that of multirotors:
 3. The attitude loop makes torques of bank and pitch, with the turn rate of a coordinated turn.
 4. Torques are allocated to the control surfaces, whose effect grows with the dynamic pressure.
 
+The functions of the last two, from `stabilise` down, compute one aircraft, or several in SIMD lanes
+that have the same row of `AUTOPILOT`.
+
 A VTOL flies on its lift rotors below the transition speed. They carry the weight that the wings do
 not carry yet, while the forward rotors accelerate.
 
@@ -29,6 +32,7 @@ from numba import types
 from bulletuav.compiled.deferred import deferred
 from bulletuav.compiled.functions import sin, tan
 from bulletuav.compiled.kernel import func, kernel
+from bulletuav.compiled.lanes import is_any, where
 from bulletuav.control.autopilot import (
     AUTOPILOT_MEMORY,
     BANK,
@@ -67,6 +71,9 @@ from bulletuav.vehicle.wing_power import STALL_MARGIN, propeller_speed, wing_sha
 
 State = tuple[Vec3, Quat4, Vec3, Vec3]
 """Position (m), quaternion, velocity (m/s) and body rates (rad/s) of one aircraft"""
+
+SixNumbers = tuple[float, float, float, float, float, float]
+"""Numbers of a setpoint, or of the outer loops, for `stabilise`"""
 
 PERIOD = 0.02
 """Time between runs of the loops, s: 50 Hz, the default rate of ArduPlane's loops"""
@@ -228,8 +235,9 @@ def forward_rotor_speed(
 ) -> float:
     """Return the speed of each forward rotor for a thrust of all, rad/s."""
     each = thrust / (row.thrust_coefficient * max(pilot.num_forward, 1))
-    speed = propeller_speed(each, pilot.thrust_slope * airspeed, 1.0)
-    return float(min(speed, row.max_rotor_speed))
+    needed = propeller_speed(each, pilot.thrust_slope * airspeed, 1.0)
+    speed: float = min(needed, row.max_rotor_speed)
+    return speed
 
 
 @func
@@ -366,7 +374,7 @@ def attitude_rates(
     bank: float,
     pitch: float,
     turn: float,
-    frequency: np.ndarray,
+    frequency: Vec3,
     damping: float,
 ) -> Vec3:
     """Compute the body rates towards a bank and a pitch, at a turn rate about the vertical.
@@ -378,7 +386,7 @@ def attitude_rates(
         bank: Tangent of the bank to the left.
         pitch: Sine of the pitch, positive nose up.
         turn: Turn rate about the world z axis, rad/s, positive to the left.
-        frequency: (3,) frequencies of the attitude loop, rad/s.
+        frequency: Frequencies of the attitude loop about x, y, z, rad/s.
         damping: Damping ratio of the attitude loop.
 
     Returns:
@@ -390,8 +398,8 @@ def attitude_rates(
     wanted_cosine = 1.0 / math.sqrt(1.0 + bank * bank)
     wanted_sine = bank * wanted_cosine
     error = wanted_sine * cosine - wanted_cosine * sine
-    if wanted_cosine * cosine + wanted_sine * sine < 0.0:
-        error = 1.0 if error >= 0.0 else -1.0
+    is_beyond = wanted_cosine * cosine + wanted_sine * sine < 0.0
+    error = where(is_beyond, where(error >= 0.0, 1.0, -1.0), error)
     # A left bank is a negative rotation about x, a raised nose one about y
     roll = -0.5 * frequency[0] / damping * error
     rise = _clip((pitch - up[0]) / max(level, 0.2), -MAX_ATTITUDE_ERROR, MAX_ATTITUDE_ERROR)
@@ -581,18 +589,16 @@ def velocity_of(level: int, target: Quat4Like, state: State, gain: GainRow) -> V
     )
 
 
-@func
+@deferred(types.none)
+@kernel
 def run_outer_loops(
     level: int,
     target: Quat4Like,
     state: State,
-    body: Vec3,
     wind: Vec3Like,
-    airspeed: float,
     dt: float,
     gravity: float,
     memory: np.ndarray,
-    first: int,
     row: np.record,
     pilot: AutopilotRow,
     gain: GainRow,
@@ -603,17 +609,17 @@ def run_outer_loops(
         level: `SetpointLevel` of the setpoint.
         target: The setpoint's four numbers.
         state: State of the aircraft.
-        body: Velocity relative to the air, body axes, m/s.
         wind: Velocity of the air, m/s, world.
-        airspeed: Airspeed, m/s.
         dt: Time since the last call, s.
         gravity: Gravitational acceleration, m/s^2.
-        memory: State of the controller; updated.
-        first: Index of the autopilot's first number in it.
+        memory: (M,) state of the controllers; the autopilot's, which comes last, is updated.
         row: Row of the nominal `PARAMETERS`.
         pilot: Row of `AUTOPILOT`.
         gain: Row of `GAINS`.
     """
+    first = memory.shape[0] - AUTOPILOT_MEMORY
+    body = _body_velocity(state, wind)
+    airspeed = math.sqrt(dot(body, body))
     if pilot.can_hover:
         wanted = velocity_of(level, target, state, gain)
         was = memory[first + WING_BORNE] > 0.0
@@ -655,6 +661,14 @@ def has_autopilot(autopilot: Autopilot | None, w: int, i: int) -> bool:
 
 
 @func
+def is_vtol(autopilot: Autopilot | None, w: int, i: int) -> bool:
+    """Check whether drone i of world w is a VTOL that the autopilot flies."""
+    if autopilot is None:
+        return False
+    return bool(autopilot.rows[w, i].can_hover > 0)
+
+
+@func
 def pause_loops(memory: np.ndarray) -> None:
     """Make the loops start again when they run next, as if after a reset.
 
@@ -665,6 +679,46 @@ def pause_loops(memory: np.ndarray) -> None:
     memory[first + COUNTDOWN] = 0.0
     memory[first + LAST_AIRSPEED] = 0.0
     memory[first + WING_BORNE] = 0.0
+
+
+@func
+def advance_loops(
+    autopilot: Autopilot,
+    level: int,
+    target: Quat4Like,
+    state: State,
+    memory: np.ndarray,
+    w: int,
+    i: int,
+    dt: float,
+    gravity: float,
+    row: np.record,
+    gain: GainRow,
+) -> bool:
+    """Run the outer loops of one aircraft if they are due; they pause for attitudes and rates.
+
+    See `fly_winged` for the arguments.
+
+    Returns:
+        Whether loops are due, among them the attitude loop of an aeroplane.
+    """
+    first = memory.shape[0] - AUTOPILOT_MEMORY
+    # Half of a step early or late is nearer than a whole step late
+    is_due = memory[first + COUNTDOWN] <= 0.5 * dt
+    if is_due:
+        memory[first + COUNTDOWN] += max(PERIOD, dt)
+    memory[first + COUNTDOWN] -= dt
+    if level > SetpointLevel.ACCELERATION:
+        countdown = memory[first + COUNTDOWN]
+        pause_loops(memory)
+        if autopilot.rows[w, i].can_hover == 0:
+            # The attitude loop of an aeroplane goes on
+            memory[first + COUNTDOWN] = countdown
+    elif is_due:
+        wind, pilot = vec3(autopilot.wind, w, i), autopilot.rows[w, i]
+        period = max(PERIOD, dt)
+        run_outer_loops(level, target, state, wind, period, gravity, memory, row, pilot, gain)
+    return bool(is_due)
 
 
 @func
@@ -706,35 +760,27 @@ def fly_winged(
         return False
     if not has_autopilot(autopilot, w, i):
         return False
-    pilot, first = autopilot.rows[w, i], memory.shape[0] - AUTOPILOT_MEMORY
-    # Half of a step early or late is nearer than a whole step late
-    is_due = memory[first + COUNTDOWN] <= 0.5 * dt
-    if is_due:
-        memory[first + COUNTDOWN] += max(PERIOD, dt)
-    memory[first + COUNTDOWN] -= dt
-    count = row.num_rotors + pilot.num_surfaces
+    pilot, held = autopilot.rows[w, i], memory.shape[0] - AUTOPILOT_MEMORY + HELD
+    is_due = advance_loops(autopilot, level, target, state, memory, w, i, dt, gravity, row, gain)
     if is_due or pilot.can_hover:
         wind = vec3(autopilot.wind, w, i)
-        step_autopilot(
-            level, target, state, wind, is_due, dt, gravity, memory, row, pilot, gain, command
-        )
-        for k in range(count):
-            memory[first + HELD + k] = command[k]
-    else:
-        for k in range(count):
-            command[k] = memory[first + HELD + k]
+        stabilise_one(level, target, state, wind, gravity, memory, row, pilot, gain, command)
+    if pilot.can_hover == 0:
+        for k in range(row.num_rotors + pilot.num_surfaces):
+            if is_due:
+                memory[held + k] = command[k]
+            else:
+                command[k] = memory[held + k]
     return True
 
 
 @deferred(types.none)
 @kernel
-def step_autopilot(
+def stabilise_one(
     level: int,
     target: Quat4Like,
     state: State,
     wind: Vec3,
-    is_due: bool,
-    dt: float,
     gravity: float,
     memory: np.ndarray,
     row: np.record,
@@ -742,79 +788,132 @@ def step_autopilot(
     gain: GainRow,
     command: np.ndarray,
 ) -> None:
-    """Run the loops of one aircraft with wings; the outer loops only if they are due.
-
-    See `fly_winged` for the arguments.
-    """
+    """Run `stabilise` for one aircraft; see `fly_winged` for the arguments."""
     first = memory.shape[0] - AUTOPILOT_MEMORY
-    _, quaternion, velocity, rates = state
+    loops = (
+        memory[first + BANK],
+        memory[first + PITCH],
+        memory[first + TURN_RATE],
+        memory[first + LIFT],
+        memory[first + FORWARD_SPEED],
+        memory[first + WING_BORNE],
+    )
+    goal = attitude_goal(level, target)
+    stabilise(level, goal, loops, state, wind, gravity, row, pilot, gain, command)
+
+
+@func
+def attitude_goal(level: int, target: Quat4Like) -> SixNumbers:
+    """Return a setpoint as `stabilise` takes it; sines are computed only here.
+
+    Args:
+        level: `SetpointLevel` of the setpoint.
+        target: The setpoint's four numbers.
+
+    Returns:
+        For an attitude, the tangent of the bank to the left, sine of the pitch up, yaw (rad),
+        thrust (N), and the horizontal direction of the yaw; else the setpoint and zeros.
+    """
+    if level == SetpointLevel.ATTITUDE:
+        # A left bank is a negative roll, a raised nose a negative pitch
+        bank, pitch = -tan(_clip(target[0], -MAX_ROLL, MAX_ROLL)), -sin(target[1])
+        ahead = nose(target[2])
+        return bank, pitch, target[2], target[3], ahead[0], ahead[1]
+    return target[0], target[1], target[2], target[3], 0.0, 0.0
+
+
+@func
+def _body_velocity(state: State, wind: Vec3Like) -> Vec3:
+    """Return the velocity relative to the air in body axes, m/s."""
+    ahead, left, top = axes(state[1])
+    air = minus(state[2], wind)
+    return dot(ahead, air), dot(left, air), dot(top, air)
+
+
+@func
+def stabilise(
+    level: int,
+    goal: SixNumbers,
+    loops: SixNumbers,
+    state: State,
+    wind: Vec3,
+    gravity: float,
+    row: np.record,
+    pilot: AutopilotRow,
+    gain: GainRow,
+    command: np.ndarray,
+) -> None:
+    """Run the attitude loop, and allocate its torque to rotors and control surfaces.
+
+    Args:
+        level: `SetpointLevel` of the setpoint, above ROTOR.
+        goal: Result of `attitude_goal`.
+        loops: Results of the outer loops: tangent of the bank, sine of the pitch, turn rate
+            (rad/s), thrust of the lift rotors (N), speed of the forward rotors (rad/s), and 1 for a
+            VTOL that flies on its wings. Unused but for the last one for attitudes and rates.
+        state: State of the aircraft.
+        wind: Velocity of the air, m/s, world.
+        gravity: Gravitational acceleration, m/s^2.
+        row: Row of the nominal `PARAMETERS`.
+        pilot: Row of `AUTOPILOT`.
+        gain: Row of `GAINS`.
+        command: (R + S,) speed of each rotor, rad/s, and deflection of each control surface, rad,
+            which are written.
+    """
+    _, quaternion, _, rates = state
     ahead, left, top = axes(quaternion)
-    air = minus(velocity, wind)
-    body = (dot(ahead, air), dot(left, air), dot(top, air))
-    airspeed = math.sqrt(dot(air, air))
-    slow = max(airspeed, 0.5 * pilot.stall_speed)
+    body = _body_velocity(state, wind)
+    slow = max(math.sqrt(dot(body, body)), 0.5 * pilot.stall_speed)
     up = (ahead[2], left[2], top[2])
-    bank, pitch, turn, lift, pushing = 0.0, 0.0, 0.0, 0.0, 0.0
-    if level <= SetpointLevel.ACCELERATION:
-        if is_due:
-            run_outer_loops(
-                level,
-                target,
-                state,
-                body,
-                wind,
-                airspeed,
-                max(PERIOD, dt),
-                gravity,
-                memory,
-                first,
-                row,
-                pilot,
-                gain,
-            )
-        bank, pitch = memory[first + BANK], memory[first + PITCH]
-        turn, lift = memory[first + TURN_RATE], memory[first + LIFT]
-        pushing = memory[first + FORWARD_SPEED]
-    else:
+    bank, pitch, turn, lift, pushing, borne = loops
+    if level > SetpointLevel.ACCELERATION:
         if pilot.can_hover:
-            lift = target[3]
-            memory[first + COUNTDOWN] = 0.0
+            lift, pushing = goal[3], 0.0
         else:
-            pushing = forward_rotor_speed(target[3], max(body[0], 0.0), row, pilot)
-        memory[first + LAST_AIRSPEED] = 0.0
-        memory[first + WING_BORNE] = 0.0
-    is_borne = pilot.can_hover == 0 or memory[first + WING_BORNE] > 0.0
-    frequency = pilot.attitude_frequency if is_borne else gain.attitude_frequency
+            lift, pushing = 0.0, forward_rotor_speed(goal[3], max(body[0], 0.0), row, pilot)
+    # Aeroplanes always do
+    is_borne = borne > pilot.can_hover - 1.0
+    frequency = (
+        where(is_borne, pilot.attitude_frequency[0], gain.attitude_frequency[0]),
+        where(is_borne, pilot.attitude_frequency[1], gain.attitude_frequency[1]),
+        where(is_borne, pilot.attitude_frequency[2], gain.attitude_frequency[2]),
+    )
 
     load = 1.0
-    wanted = (target[0], target[1], target[2])
+    wanted = (goal[0], goal[1], goal[2])
     if level != SetpointLevel.RATES:
         if level == SetpointLevel.ATTITUDE:
-            # A left bank is a negative roll, a raised nose a negative pitch
-            bank, pitch = -tan(_clip(target[0], -MAX_ROLL, MAX_ROLL)), -sin(target[1])
-            if pilot.can_hover:
-                goal = nose(target[2])
-                size = _length(ahead[0], ahead[1])
-                turn = TURN_GAIN * (ahead[0] * goal[1] - ahead[1] * goal[0]) / size
-        if is_borne:
-            # Coordinated turn: g tan(bank) / V, and the nose into the flow
-            level_part = max(up[2], 0.3)
-            turn = _clip(-gravity * up[1] / (slow * level_part), -2.0, 2.0)
-            load = math.sqrt(1.0 + bank * bank)
+            bank, pitch = goal[0], goal[1]
+            size = _length(ahead[0], ahead[1])
+            turn = TURN_GAIN * (ahead[0] * goal[5] - ahead[1] * goal[4]) / size
+        # Coordinated turn: g tan(bank) / V, and the nose into the flow
+        level_part = max(up[2], 0.3)
+        coordinated = _clip(-gravity * up[1] / (slow * level_part), -2.0, 2.0)
+        turn = where(is_borne, coordinated, turn)
+        load = where(is_borne, math.sqrt(1.0 + bank * bank), 1.0)
         wanted = attitude_rates(up, bank, pitch, turn, frequency, gain.damping)
-        if is_borne:
-            wanted = protect_from_stall(
+        if is_any(is_borne):
+            protected = protect_from_stall(
                 wanted, body, up[2], slow, gravity, frequency, gain.damping, pilot
+            )
+            wanted = (
+                where(is_borne, protected[0], wanted[0]),
+                where(is_borne, protected[1], wanted[1]),
+                where(is_borne, protected[2], wanted[2]),
             )
     torque = rates_to_torque(wanted, rates, pushing, frequency, row, pilot, gain)
     # Surfaces take over from lift rotors as their effect grows
-    share = 1.0 if is_borne else surface_share(body[0], pilot)
-    rotor_share = 1.0 - share
-    for r in range(row.num_rotors):
-        command[r] = 0.0
-    if lift > 0.0:
+    share = where(is_borne, 1.0, surface_share(body[0], pilot))
+    has_lift = lift > 0.0
+    if is_any(has_lift):
+        rotor_share = 1.0 - share
         turned = (rotor_share * torque[0], rotor_share * torque[1], rotor_share * torque[2])
         mix(lift, turned, row, gain, command)
+        for r in range(row.num_rotors):
+            command[r] = where(has_lift, command[r], 0.0)
+    else:
+        for r in range(row.num_rotors):
+            command[r] = 0.0
     for r in range(row.num_rotors):
         if pilot.forward[r] > 0.0:
             command[r] = pushing
@@ -838,7 +937,7 @@ def rates_to_torque(
     wanted: Vec3,
     rates: Vec3,
     pushing: float,
-    frequency: np.ndarray,
+    frequency: Vec3,
     row: np.record,
     pilot: AutopilotRow,
     gain: GainRow,
@@ -851,7 +950,7 @@ def rates_to_torque(
         wanted: Desired body rates, rad/s.
         rates: Body rates, rad/s.
         pushing: Speed of the forward rotors, rad/s.
-        frequency: (3,) frequencies of the attitude loop, rad/s.
+        frequency: Frequencies of the attitude loop about x, y, z, rad/s.
         row: Row of the nominal `PARAMETERS`.
         pilot: Row of `AUTOPILOT`.
         gain: Row of `GAINS`.
@@ -880,7 +979,7 @@ def protect_from_stall(
     up: float,
     airspeed: float,
     gravity: float,
-    frequency: np.ndarray,
+    frequency: Vec3,
     damping: float,
     pilot: AutopilotRow,
 ) -> Vec3:
@@ -892,7 +991,7 @@ def protect_from_stall(
         up: Vertical part of the body's z axis.
         airspeed: Airspeed, m/s.
         gravity: Gravitational acceleration, m/s^2.
-        frequency: (3,) frequencies of the attitude loop, rad/s.
+        frequency: Frequencies of the attitude loop about x, y, z, rad/s.
         damping: Damping ratio of the attitude loop.
         pilot: Row of `AUTOPILOT`.
 

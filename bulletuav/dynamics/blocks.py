@@ -18,7 +18,7 @@ from bulletuav.compiled.lanes import WIDTH, is_any, lane_zeros, lanes_of, lanes_
 from bulletuav.contact.contact_state import press_support, withstands
 from bulletuav.control.cascade import Cascade
 from bulletuav.dynamics.integration import slope_of, stepped, turn_rotors
-from bulletuav.dynamics.steering import ALONE, Steering, remember_lane, steer
+from bulletuav.dynamics.steering import ALONE, Steering, advance_lanes, remember_lane, steer
 from bulletuav.vehicle.aerodynamics import is_near_surface
 from bulletuav.vehicle.swarm import DroneArrays, Swarm
 from bulletuav.vehicle.wakes import Wakes
@@ -59,8 +59,8 @@ class Blocks(NamedTuple):
         command: (G, N, R + S) commanded rotor speeds of each drone, rad/s, followed by the
             deflections of its control surfaces, rad.
         ratio: (B, R, `WIDTH`) fractions of their commanded speeds that rotors reach.
-        rotors: (5, R, `WIDTH`) rotor speeds of a block, commands, and speeds at the begin, middle
-            and end of a substep, rad/s.
+        rotors: (5, R + S, `WIDTH`) rotor speeds of a block, commands, and speeds at the begin,
+            middle and end of a substep, rad/s; deflections follow the commands, rad.
         alone: (3, R) rotor speeds of one drone at the begin, middle and end of a substep, rad/s.
         state: (13, `WIDTH`) new state of a block.
         support: (1, 6, `WIDTH`) rows of `SUPPORT` of the sleeping drones of a block.
@@ -138,7 +138,7 @@ class Blocks(NamedTuple):
             wakes=Wakes.of(worlds, num_drones),
             command=np.zeros((worlds, num_drones, num_commands)),
             ratio=lane_zeros(blocks, num_rotors),
-            rotors=lane_zeros(5, num_rotors),
+            rotors=lane_zeros(5, num_commands),
             alone=np.zeros((3, num_rotors)),
             state=lane_zeros(13),
             support=lane_zeros(1, 6),
@@ -148,11 +148,10 @@ class Blocks(NamedTuple):
 
     def for_thread(self) -> "Blocks":
         """Return the same blocks for another thread, with its own scratch arrays."""
-        num_rotors = self.rotors.shape[1]
         remembered = lane_zeros(len(self.steering.remembered))
         return self._replace(
-            rotors=lane_zeros(5, num_rotors),
-            alone=np.zeros((3, num_rotors)),
+            rotors=lane_zeros(5, self.rotors.shape[1]),
+            alone=np.zeros_like(self.alone),
             deflection=lane_zeros(1, self.deflection.shape[1]),
             state=lane_zeros(13),
             support=lane_zeros(1, 6),
@@ -225,27 +224,31 @@ def _has_same_wings(wings: Any, drone: int, other: int) -> bool:
 
 
 @func
-def _load_deflections(blocks: Any, wings: Any, drone: int, b: int, dt: float) -> None:
-    """Read the deflections of a block, and move its control surfaces for a substep."""
-    if wings is not None:
-        num_drones = wings.kind.shape[1]
-        wing = wings.rows[wings.kind[drone // num_drones, drone % num_drones]]
-        first = blocks.rows[drone // num_drones, drone % num_drones].num_rotors
-        now = lanes_of(blocks.deflection, 0)
-        for k in range(wing.num_surfaces):
-            command = gathered(blocks.command, b * WIDTH, first + k)
-            before = gathered(blocks.swarm.deflection, drone, k)
-            now[k] = deflection_after(before, command, k, dt, wing)
+def _num_commands(blocks: Any, wings: Any, drone: int) -> int:
+    """Return the number of rotors and control surfaces of a drone, counted over all worlds."""
+    num_drones = blocks.rows.shape[1]
+    w, i = drone // num_drones, drone % num_drones
+    num_rotors = int(blocks.rows[w, i].num_rotors)
+    if wings is None:
+        return num_rotors
+    return num_rotors + int(wings.rows[wings.kind[w, i]].num_surfaces)
 
 
 @func
-def _store_deflections(blocks: Any, wings: Any, lane: int, drone: int) -> None:
-    """Write the deflections of a lane back to a drone."""
+def _move_block_surfaces(
+    blocks: Any, wings: Any, drone: int, command: Any, first: int, dt: float
+) -> None:
+    """Read the deflections of a block, and move its control surfaces for a substep.
+
+    Those of `command` begin at the index `first`.
+    """
     if wings is not None:
         num_drones = wings.kind.shape[1]
         wing = wings.rows[wings.kind[drone // num_drones, drone % num_drones]]
+        now = lanes_of(blocks.deflection, 0)
         for k in range(wing.num_surfaces):
-            blocks.swarm.deflection[0, drone, k] = blocks.deflection[0, k, lane]
+            before = gathered(blocks.swarm.deflection, drone, k)
+            now[k] = deflection_after(before, command[first + k], k, dt, wing)
 
 
 @func
@@ -334,13 +337,18 @@ def steer_block(blocks: Any, first: int, b: int, gravity: float, dt: float) -> N
     for r in range(num_rotors):
         speed[r] = gathered(blocks.swarm.rotor_speed, drone, r)
     state = _state_of(blocks.swarm, drone)
-    steer(blocks.steering, b, drone, state, speed, gravity, dt, command)
+    steered, autopilot = blocks.steered, blocks.steering.autopilot
+    advance_lanes(blocks.steering, autopilot, blocks.swarm, steered, b, drone, gravity, dt)
+    observes = steer(blocks.steering, b, drone, state, speed, gravity, dt, command)
+    # The Lee controller commands no surfaces
+    count = num_rotors if observes else _num_commands(blocks, blocks.wings, drone)
     for lane in range(WIDTH):
         one = b * WIDTH + lane
-        if blocks.steered[one]:
-            for r in range(num_rotors):
-                blocks.command[one // num_drones, one % num_drones, r] = blocks.rotors[1, r, lane]
-            remember_lane(blocks.steering, lane, drone + lane)
+        if steered[one]:
+            for k in range(count):
+                blocks.command[one // num_drones, one % num_drones, k] = blocks.rotors[1, k, lane]
+            if observes:
+                remember_lane(blocks.steering, lane, drone + lane)
 
 
 @func
@@ -350,12 +358,13 @@ def is_steered(blocks: Any, drone: int) -> bool:
 
 
 @func
-def _turn_rotors(blocks: Any, b: int, command: Any, row: Any) -> tuple[Any, Any]:
+def _turn_rotors(blocks: Any, b: int, command: Any, row: Any, num_panels: int) -> tuple[Any, Any]:
     """Advance the rotors of a block from its speeds in `rotors`, see `turn_rotors`."""
     held, speed = lanes_of(blocks.held, b), lanes_of(blocks.rotors, 0)
     speeds = (lanes_of(blocks.rotors, 2), lanes_of(blocks.rotors, 3), lanes_of(blocks.rotors, 4))
     motors = (held[10], lanes_of(blocks.ratio, b))
-    return speeds, turn_rotors(speed, command, *motors, lanes_of(blocks.lag, b), row, speeds)
+    lag = lanes_of(blocks.lag, b)
+    return speeds, turn_rotors(speed, command, *motors, lag, row, speeds, num_panels)
 
 
 @func
@@ -390,15 +399,21 @@ def fly_block(blocks: Any, first: int, b: int, gravity: float, dt: float) -> Non
     for r in range(row.num_rotors):
         speed[r] = gathered(swarm.rotor_speed, drone, r)
     state = _state_of(swarm, drone)
+    num_commands = _num_commands(blocks, blocks.wings, drone)
     # Controllers may run here, as the commands of other drones have no effect on them
-    steered = blocks.steering.level[b] != ALONE
-    if steered:
-        steer(blocks.steering, b, drone, state, speed, gravity, dt, command)
-    else:
-        for r in range(row.num_rotors):
-            command[r] = gathered(blocks.command, b * WIDTH, r)
-    speeds, rotors = _turn_rotors(blocks, b, command, row)
-    _load_deflections(blocks, blocks.wings, drone, b, dt)
+    observes, begin = False, 0
+    if blocks.steering.level[b] != ALONE:
+        together, autopilot = blocks.together, blocks.steering.autopilot
+        advance_lanes(blocks.steering, autopilot, swarm, together, b, drone, gravity, dt)
+        observes = steer(blocks.steering, b, drone, state, speed, gravity, dt, command)
+        # The Lee controller commands no surfaces
+        begin = row.num_rotors if observes else num_commands
+    for k in range(begin, num_commands):
+        command[k] = gathered(blocks.command, b * WIDTH, k)
+    num_drones = blocks.rows.shape[1]
+    num_panels = count_panels(blocks.wings, drone // num_drones, drone % num_drones)
+    speeds, rotors = _turn_rotors(blocks, b, command, row, num_panels)
+    _move_block_surfaces(blocks, blocks.wings, drone, command, row.num_rotors, dt)
     near, around = _make_surroundings(blocks, b, state, dt, row)
     # Constants let the compiler remove the ground effect
     wings = blocks.wings
@@ -427,8 +442,9 @@ def fly_block(blocks: Any, first: int, b: int, gravity: float, dt: float) -> Non
                 swarm.quaternion[0, drone + lane, k] = blocks.state[9 + k, lane]
             for r in range(row.num_rotors):
                 swarm.rotor_speed[0, drone + lane, r] = blocks.rotors[0, r, lane]
-            _store_deflections(blocks, wings, lane, drone + lane)
-            if steered:
+            for k in range(num_commands - row.num_rotors):
+                swarm.deflection[0, drone + lane, k] = blocks.deflection[0, k, lane]
+            if observes:
                 remember_lane(blocks.steering, lane, drone + lane)
 
 
@@ -463,7 +479,7 @@ def load_block(blocks: Any, supports: np.ndarray, first: int, b: int, dt: float)
         if i == num_drones:
             w, i = w + 1, 0
     state = _state_of(blocks.swarm, drone)
-    speeds, rotors = _turn_rotors(blocks, b, command, row)
+    speeds, rotors = _turn_rotors(blocks, b, command, row, 0)
     near, around = _make_surroundings(blocks, b, state, dt, row)
     lifted = row.num_rotors if is_any(near) else 0
     # The forces at the end of the substep

@@ -49,7 +49,7 @@ def _total_wrench(
             force, torque = winged_wrench(
                 quaternion, velocity, rates, speed, deflection, around, row, wing
             )
-            return force, torque, 0.0 * rotors[2], 0.0 * rotors[3]
+            return force, torque, rotors[2], rotors[3]
     force, torque = compute_wrench(
         quaternion, velocity, position[2], speed, rotors, around, lifted, row
     )
@@ -224,6 +224,7 @@ def turn_rotors(
     decay: np.ndarray,
     row: np.record,
     speeds: Speeds,
+    num_panels: int = 0,
 ) -> Stages:
     """Advance the rotor speeds of a drone towards their commands by one substep.
 
@@ -235,9 +236,11 @@ def turn_rotors(
         decay: (6,) decay factors of the drone, from `lag_stages`.
         row: Row of `PARAMETERS`.
         speeds: Rotor speeds at the begin, middle and end of the substep, rad/s; written.
+        num_panels: Number of panels of its wings.
 
     Returns:
-        Wrench of the rotors at the begin, middle and end of the substep.
+        Wrench of the rotors at the begin, middle and end of the substep; zeros for an aircraft with
+        wings, see `winged_wrench`.
     """
     begin, middle, end = speeds
     at_begin = (decay[0], decay[1])
@@ -258,6 +261,10 @@ def turn_rotors(
         winding0 += turn
         winding1 += turn * where(faster, at_middle[0], at_middle[1])
         winding2 += turn * where(faster, at_end[0], at_end[1])
+    if num_panels > 0:
+        zero = 0.0 * supply
+        nothing = (zero, (zero, zero, zero), zero, zero)
+        return nothing, nothing, nothing
     return (
         rotor_wrench(begin, winding0, row),
         rotor_wrench(middle, winding1, row),

@@ -152,7 +152,9 @@ def _fly_alone(
     speeds = (alone[0], alone[1], alone[2])
     command, decay = blocks.command[w - first, i], blocks.decay[w - first, i]
     motors = (air.supply[w, i], air.rotor_ratio[w, i])
-    rotors = turn_rotors(swarm.rotor_speed[w, i], command, *motors, decay, row, speeds)
+    num_panels = count_panels(decision.wings, w, i)
+    speed = swarm.rotor_speed[w, i]
+    rotors = turn_rotors(speed, command, *motors, decay, row, speeds, num_panels)
     deflection, wings = swarm.deflection[w, i], decision.wings
     _move_surfaces(wings, deflection, command, w, i, row.num_rotors, dt)
     around = surroundings(air, w, i, blocks.wakes.felt[w - first])

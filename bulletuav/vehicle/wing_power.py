@@ -20,6 +20,7 @@ import math
 from typing import NamedTuple
 
 from bulletuav.compiled.kernel import func
+from bulletuav.compiled.lanes import where
 from bulletuav.compiled.plain import record_type
 from bulletuav.geometry.rotation import Vec3Like
 from bulletuav.vehicle.airframe import STANDARD_GRAVITY, Airframe
@@ -141,9 +142,9 @@ def propeller_speed(thrust: float, loss: float, factor: float) -> float:
         loss: Loss of thrust per speed k_z V, N s.
         factor: Thrust per squared speed k_f, N s^2; 1 for thrust and loss divided by it.
     """
-    if thrust <= 0.0:
-        return 0.0
-    return (loss + math.sqrt(loss * loss + 4.0 * factor * thrust)) / (2.0 * factor)
+    squared = loss * loss + 4.0 * factor * max(thrust, 0.0)
+    speed: float = where(thrust > 0.0, (loss + math.sqrt(squared)) / (2.0 * factor), 0.0)
+    return speed
 
 
 @func

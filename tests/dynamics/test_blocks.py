@@ -1,11 +1,15 @@
 """Drones of `rigid_body` that are moved together, against each of them alone: to the bit."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from bulletuav import load_airframe
 from bulletuav.compiled.lanes import WIDTH
+from bulletuav.control.autopilot import AUTOPILOT_MEMORY, WING_BORNE
 from bulletuav.control.setpoint import SetpointLevel
 
 KINDS = ("high", "near the ground", "tumbling", "resting", "absent", "falling")
@@ -192,3 +196,105 @@ def test_wings_that_stall_in_some_lanes_fly_as_each_alone(make_bench, airframe):
             alone.fly(SetpointLevel.ROTOR, setpoint[w, i])
         for name, got, expected in zip(swarm._fields, swarm, alone.swarm, strict=True):
             assert got[w, i].tobytes() == expected[0, 0].tobytes(), (w, i, name)
+
+
+def draw_winged(bench, names, rng):
+    """Put aircraft with wings in cruise, hover and a dive; some are absent."""
+    swarm, shape = bench.swarm, bench.alive.shape
+    swarm.position[:] = 0
+    swarm.position[..., 0] = 200 * np.arange(shape[1])
+    swarm.position[..., 2] = 500
+    speeds = np.where(np.array(names) == "trainer", 13.0, 14.0) * np.ones(shape)
+    hovers = (rng.random(shape) < 0.3) & (np.array(names) != "trainer")
+    speeds[hovers] = rng.uniform(0.0, 3.0, hovers.sum())
+    swarm.velocity[:] = rng.normal(scale=0.5, size=swarm.velocity.shape)
+    swarm.velocity[..., 0] += speeds
+    swarm.velocity[..., 2] -= rng.choice([0.0, 0.0, 0.0, 9.0], shape)
+    swarm.rates[:] = rng.normal(scale=0.3, size=swarm.rates.shape)
+    swarm.quaternion[:] = (0, 0, 0, 1)
+    swarm.quaternion[:] += 0.1 * rng.normal(size=swarm.quaternion.shape)
+    swarm.quaternion[:] /= np.linalg.norm(swarm.quaternion, axis=-1, keepdims=True)
+    bench.wind[:] = rng.normal(scale=2.0, size=bench.wind.shape)
+    alive = rng.random(shape) < 0.85
+    alive[0, 0] = True
+    return [array.copy() for array in swarm], bench.dynamics.flight.parameters.copy(), alive
+
+
+def draw_setpoint(level, names, shape, rng):
+    """Draw setpoints of a level (W, N, 4) that change the direction, and fly to and from hover."""
+    value = rng.normal(size=(*shape, 4))
+    if level == SetpointLevel.POSITION:
+        return value * (200.0, 200.0, 10.0, 1.0) + (0.0, 0.0, 500.0, 0.0)
+    if level == SetpointLevel.VELOCITY:
+        return value * (3.0, 3.0, 1.0, 1.0) + rng.choice([0.0, 15.0], (*shape, 1)) * (1, 0, 0, 0)
+    if level == SetpointLevel.ACCELERATION:
+        return value * (2.0, 2.0, 0.5, 1.0)
+    weight = np.where(np.array(names) == "trainer", 3.0, 25.0)
+    thrust = weight * rng.uniform(0.5, 1.2, shape)
+    return np.concatenate([0.3 * value[..., :3], thrust[..., None]], axis=-1)
+
+
+WINGED_LEVELS = [level for level in SetpointLevel if level != SetpointLevel.ROTOR]
+
+
+@pytest.mark.parametrize("level", WINGED_LEVELS)
+@pytest.mark.parametrize("airframe", ["trainer", "quadplane"])
+@pytest.mark.parametrize("shape", [(1, 2), (3, WIDTH + 1)])
+def test_autopilots_that_run_together_fly_as_each_alone(make_bench, airframe, shape, level):
+    """At all levels, with transitions, and with absent aircraft; their memories, too."""
+    check_as_alone(make_bench, (airframe,) * shape[1], shape[0], level)
+
+
+def test_autopilots_of_mixed_fleets_fly_as_each_alone(make_bench):
+    """Blocks of one airframe, and blocks with several."""
+    fleet = ("quadplane",) * (WIDTH + 2) + ("trainer",) * 3 + ("cf2x",) * WIDTH + ("quadplane",)
+    check_as_alone(make_bench, fleet, 2, SetpointLevel.VELOCITY)
+
+
+def test_surfaces_without_an_autopilot_stay_still(make_bench):
+    """The autopilot of other blocks does not move surfaces of aircraft that it does not fly."""
+    unguided = replace(load_airframe("quadplane"), name="unguided", forward_rotors=())
+    bench = make_bench("rigid_body", ("quadplane",) * WIDTH + (unguided,) * WIDTH)
+    bench.swarm.position[..., 0] *= 20
+    bench.swarm.velocity[..., 0] = 14.0
+    bench.place().fly(SetpointLevel.VELOCITY, (14.0, 1.0, 0.0, 0.0), 3)
+    assert bench.swarm.deflection[0, :WIDTH].any()
+    assert not bench.swarm.deflection[0, WIDTH:].any()
+
+
+def check_as_alone(make_bench, names, worlds, level):
+    shape = worlds, len(names)
+    rng = np.random.default_rng(11)
+    # 12 substeps are no multiple of the period of the outer loops
+    many = make_bench("rigid_body", names, worlds=worlds, substeps=12)
+    states, rows, alive = draw_winged(many, names, rng)
+    begin(many, states, rows, alive)
+    memory = many.dynamics.flight.cascade.memory
+    setpoints, borne = [draw_setpoint(level, names, shape, rng) for _ in range(8)], []
+    for setpoint in setpoints:
+        many.fly(level, setpoint)
+        borne.append(memory[..., memory.shape[2] - AUTOPILOT_MEMORY + WING_BORNE].copy())
+    assert np.isfinite(many.swarm.position).all()
+    if level <= SetpointLevel.VELOCITY and "quadplane" in names:
+        # Some changed from one kind of flight to the other
+        assert len(np.unique(borne)) == 2
+        assert (np.diff(borne, axis=0) != 0).any()
+    for airframe in sorted(set(names)):
+        alone = make_bench("rigid_body", airframe, substeps=12)
+        own = [array.shape[2] for array in alone.swarm]
+        for w, i in np.ndindex(shape):
+            if names[i] != airframe:
+                continue
+            cut = [array[w, i, :size] for array, size in zip(states, own, strict=True)]
+            alone.wind[:] = many.wind[w, i]
+            alone.dynamics.flight.cascade.memory[:] = 0
+            begin(alone, cut, rows[w, i], alive[w, i])
+            for setpoint in setpoints:
+                alone.fly(level, setpoint[w, i])
+            pairs = zip(many.swarm._fields, many.swarm, alone.swarm, strict=True)
+            for name, got, expected in pairs:
+                together = got[w, i, : expected.shape[2]]
+                assert together.tobytes() == expected[0, 0].tobytes(), (w, i, name)
+            if airframe != "cf2x":
+                single = alone.dynamics.flight.cascade.memory[0, 0]
+                assert memory[w, i].tobytes() == single.tobytes(), (w, i)
