@@ -447,9 +447,8 @@ def allocate_surfaces(
 
 @func
 def fly_on_rotors(
-    level: int,
-    target: Quat4Like,
     wanted: Vec3,
+    yaw: float,
     state: State,
     body: Vec3,
     wind: Vec3Like,
@@ -468,9 +467,8 @@ def fly_on_rotors(
     the aircraft keeps its height while it slows down.
 
     Args:
-        level: `SetpointLevel` of the setpoint, at most ACCELERATION.
-        target: The setpoint's four numbers.
         wanted: The velocity that the setpoint gives, m/s, world.
+        yaw: Yaw of the setpoint, rad.
         state: State of the aircraft.
         body: Velocity relative to the air, body axes, m/s.
         wind: Velocity of the air, m/s, world.
@@ -536,7 +534,7 @@ def fly_on_rotors(
     if east * east + north * north < 0.25 * slow * slow:
         east, north = velocity[0] - wind[0], velocity[1] - wind[1]
         if east * east + north * north < 0.25 * slow * slow:
-            goal = nose(target[3])
+            goal = nose(yaw)
             east, north = goal[0], goal[1]
     size = _length(east, north)
     sine, cosine = (x * north - y * east) / size, (x * east + y * north) / size
@@ -605,17 +603,7 @@ def run_outer_loops(
 ) -> None:
     """Write bank, pitch and thrusts for a setpoint down to ACCELERATION into memory.
 
-    Args:
-        level: `SetpointLevel` of the setpoint.
-        target: The setpoint's four numbers.
-        state: State of the aircraft.
-        wind: Velocity of the air, m/s, world.
-        dt: Time since the last call, s.
-        gravity: Gravitational acceleration, m/s^2.
-        memory: (M,) state of the controllers; the autopilot's, which comes last, is updated.
-        row: Row of the nominal `PARAMETERS`.
-        pilot: Row of `AUTOPILOT`.
-        gain: Row of `GAINS`.
+    `wind` is the velocity of the air, m/s, world; see `fly_winged` for the other arguments.
     """
     first = memory.shape[0] - AUTOPILOT_MEMORY
     body = _body_velocity(state, wind)
@@ -627,20 +615,9 @@ def run_outer_loops(
         memory[first + WING_BORNE] = 1.0 if is_borne else 0.0
         if not is_borne:
             memory[first + LAST_AIRSPEED] = 0.0
+            yaw = target[3]
             fly_on_rotors(
-                level,
-                target,
-                wanted,
-                state,
-                body,
-                wind,
-                dt,
-                gravity,
-                memory,
-                first,
-                row,
-                pilot,
-                gain,
+                wanted, yaw, state, body, wind, dt, gravity, memory, first, row, pilot, gain
             )
             return
         # Lift rotors fade out
