@@ -18,7 +18,7 @@ from bulletuav.vehicle.envelope import find_envelope, find_trim
 from bulletuav.vehicle.wing_power import STALL_MARGIN, trim_thrust
 from bulletuav.vehicle.wings import MAX_SURFACES, wing_rows
 
-AUTOPILOT_MEMORY = 30
+AUTOPILOT_MEMORY = 33
 """Size of the autopilot's state, which follows that of the observers of multirotors in memory; the
 names below number its entries"""
 THRUST_INTEGRAL = 0
@@ -34,6 +34,7 @@ WING_BORNE = 9
 PUSH = 10
 CLIMB = 13
 HELD = 14
+WAYPOINT_PHASE = 30
 
 LOITER_BANK = 0.5
 """Turn rate of a loiter relative to the largest turn rate"""

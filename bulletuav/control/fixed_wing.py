@@ -49,6 +49,7 @@ from bulletuav.control.autopilot import (
     PUSH,
     THRUST_INTEGRAL,
     TURN_RATE,
+    WAYPOINT_PHASE,
     WING_BORNE,
     Autopilot,
     AutopilotRow,
@@ -56,6 +57,7 @@ from bulletuav.control.autopilot import (
 from bulletuav.control.gains import GainRow
 from bulletuav.control.lee import mix, nose, velocity_setpoint
 from bulletuav.control.setpoint import SetpointLevel, is_flying_speed
+from bulletuav.control.waypoint import EXTENDING, HOMING, update_phase
 from bulletuav.geometry.rotation import (
     Quat4,
     Quat4Like,
@@ -144,10 +146,12 @@ def turn_towards(velocity: Vec3Like, x: float, y: float, pilot: AutopilotRow) ->
 
 @func
 def circle(position: Vec3Like, velocity: Vec3Like, centre: Vec3Like, pilot: AutopilotRow) -> float:
-    """Compute the lateral acceleration towards a point and then around it, to the left.
+    """Compute the lateral acceleration that leads to a circle around a point, to the left.
 
     Far away it is L1 guidance to the point. On the circle it is the centripetal acceleration, with
-    a proportional and derivative law of the distance (`update_loiter` of ArduPilot).
+    a proportional and derivative law of the distance (`update_loiter` of ArduPilot). Inside, while
+    flying away from the point, it is L1 guidance along the vector field of an orbit (Beard and
+    McLain, equation 10.13, with k_orbit = 1), which turns left at the centre.
 
     Args:
         position: Position, m, world.
@@ -166,6 +170,8 @@ def circle(position: Vec3Like, velocity: Vec3Like, centre: Vec3Like, pilot: Auto
     around = (velocity[0] * y - velocity[1] * x) / distance
     radius = pilot.loiter_radius
     beyond = distance - radius
+    if beyond < 0.0 and around < -inward:
+        return turn_towards(velocity, beyond * x + radius * y, beyond * y - radius * x, pilot)
     # The natural frequency 2 pi / P of the L1 guidance, from its rate 4 pi z / P
     frequency = pilot.course_rate / (2.0 * L1_DAMPING)
     correction = frequency * frequency * beyond - 2.0 * L1_DAMPING * frequency * inward
@@ -183,8 +189,10 @@ def guide(
     state: State,
     wind: Vec3Like,
     airspeed: float,
-    climb: float,
+    dt: float,
     gravity: float,
+    memory: np.ndarray,
+    first: int,
     pilot: AutopilotRow,
 ) -> Vec3:
     """Compute lateral acceleration, airspeed and climb rate from a setpoint.
@@ -195,8 +203,10 @@ def guide(
         state: State of the aircraft.
         wind: Velocity of the air, m/s, world.
         airspeed: Present airspeed, m/s.
-        climb: Present reference climb, m/s.
+        dt: Time since the last call, s.
         gravity: Gravitational acceleration, m/s^2.
+        memory: State of the controller; the phase of the flight to a position is updated.
+        first: Index of the autopilot's first number in it.
         pilot: Row of `AUTOPILOT`.
 
     Returns:
@@ -204,10 +214,21 @@ def guide(
         climb rate (m/s).
     """
     position, _, velocity, _ = state
+    phase_index = first + WAYPOINT_PHASE
+    if level != SetpointLevel.POSITION or memory[first + LAST_AIRSPEED] <= 0.0:
+        # Another flight, or the first run after a pause
+        memory[phase_index] = HOMING
     if level == SetpointLevel.POSITION:
-        centre = (target[0], target[1], target[2])
-        lateral = circle(position, velocity, centre, pilot)
-        return lateral, pilot.cruise_speed, HEIGHT_RATE * (target[2] - position[2])
+        goal = (target[0], target[1], target[2])
+        most = pilot.max_bank * gravity
+        phase = update_phase(position, velocity, goal, airspeed, most, dt, memory, phase_index)
+        if phase == EXTENDING:
+            lateral = 0.0
+        elif phase == HOMING:
+            lateral = turn_towards(velocity, goal[0] - position[0], goal[1] - position[1], pilot)
+        else:
+            lateral = circle(position, velocity, goal, pilot)
+        return lateral, pilot.cruise_speed, HEIGHT_RATE * (goal[2] - position[2])
     if level == SetpointLevel.VELOCITY:
         if pilot.can_hover == 0 and not is_flying_speed(target[0], target[1], pilot.min_speed):
             # Too slow to fly: loiter
@@ -218,7 +239,8 @@ def guide(
     speed = _length(velocity[0], velocity[1])
     along = (target[0] * velocity[0] + target[1] * velocity[1]) / speed
     across = (target[1] * velocity[0] - target[0] * velocity[1]) / speed
-    return across, airspeed + along / SPEED_RATE, climb + target[2] / CLIMB_RATE
+    rise = memory[first + CLIMB] + target[2] / CLIMB_RATE
+    return across, airspeed + along / SPEED_RATE, rise
 
 
 @func
@@ -624,8 +646,7 @@ def run_outer_loops(
         memory[first + LIFT] = max(memory[first + LIFT] - dt * row.mass * gravity, 0.0)
         if level == SetpointLevel.POSITION:
             target, level = (wanted[0], wanted[1], wanted[2], target[3]), SetpointLevel.VELOCITY
-    climb = memory[first + CLIMB]
-    wanted = guide(level, target, state, wind, airspeed, climb, gravity, pilot)
+    wanted = guide(level, target, state, wind, airspeed, dt, gravity, memory, first, pilot)
     fly_on_wings(wanted, state, wind, airspeed, dt, gravity, memory, first, row, pilot)
 
 

@@ -17,8 +17,9 @@ wind; at the limits of airspeed, the course over ground is kept. Where wind does
 and ground speed are the same.
 
 A commanded horizontal speed below min_speed commands a loiter: a turn to the left at min_speed and
-half of the largest rate. A position setpoint commands a loiter around the point, to the left, with
-the radius of such a turn at cruise speed.
+half of the largest rate. A position setpoint commands a flight through the point, and then a loiter
+around it, to the left, with the radius of such a turn at cruise speed; see
+`bulletuav.control.waypoint`.
 
 The nose points along the motion through the air, at the bank angle of a coordinated turn,
 atan(V psi' / g). The yaw of setpoints has no effect, and body rates stay zero.
@@ -31,11 +32,15 @@ References:
 
 import math
 
+import numpy as np
+
 from bulletuav.compiled.functions import atan2, cos, exp, sin
 from bulletuav.compiled.kernel import func
+from bulletuav.control.autopilot import AUTOPILOT_MEMORY, WAYPOINT_PHASE
 from bulletuav.control.gains import NUM_CLIMBS, GainRow
 from bulletuav.control.lee import nose
 from bulletuav.control.setpoint import SetpointLevel, is_flying_speed
+from bulletuav.control.waypoint import EXTENDING, HOMING, LOITERING, update_phase
 from bulletuav.geometry.rotation import Quat4, Quat4Like, Vec3, from_euler, heading, plus
 
 POINT_MASS, SINGLE_INTEGRATOR, DOUBLE_INTEGRATOR = range(3)
@@ -43,7 +48,7 @@ POINT_MASS, SINGLE_INTEGRATOR, DOUBLE_INTEGRATOR = range(3)
 LOITER_FRACTION = 0.5
 """Turn rate of a loiter as a fraction of the largest one."""
 _NARROW = 1e-9
-"""Least range of airspeeds that is divided by, m/s."""
+"""Smallest number that is divided by: a range of airspeeds, m/s, or a length, m."""
 
 
 @func
@@ -69,24 +74,34 @@ def excess_climb(speed: float, gain: GainRow) -> float:
 
 
 @func
-def orbit_velocity(position: Vec3, centre: Vec3, gain: GainRow, gravity: float) -> Vec3:
-    """Return the velocity of the vector field that leads to a circle around a point, to the left.
+def waypoint_velocity(
+    phase: int, position: Vec3, velocity: Vec3, target: Vec3, gain: GainRow, gravity: float
+) -> Vec3:
+    """Return the velocity towards a target position, or around it, m/s.
 
-    Far away, the field points to the centre; on the circle, along it (Beard and McLain, equation
-    10.13, with k_orbit = 1). The height approaches that of the centre as in `velocity_setpoint`.
+    A loiter follows a vector field. Far away, the field points to the target; on the circle, along
+    it to the left (Beard and McLain, equation 10.13, with k_orbit = 1). The height approaches that
+    of the target as in `velocity_setpoint`.
 
     Args:
+        phase: Phase of the flight, see `update_phase`.
         position: Position of the aircraft, m.
-        centre: Centre of the circle, m.
+        velocity: Velocity of the aircraft, m/s.
+        target: Target position, m.
         gain: Row of `GAINS`.
         gravity: Gravitational acceleration, m/s^2.
     """
-    x, y = position[0] - centre[0], position[1] - centre[1]
-    distance, radius = math.sqrt(x * x + y * y), loiter_radius(gain.cruise_speed, gain, gravity)
-    course = atan2(y, x) + 0.5 * math.pi + atan2(distance - radius, radius)
+    x, y = target[0] - position[0], target[1] - position[1]
+    if phase == EXTENDING:
+        x, y = velocity[0], velocity[1]
+    elif phase == LOITERING:
+        radius = loiter_radius(gain.cruise_speed, gain, gravity)
+        beyond = math.sqrt(x * x + y * y) - radius
+        x, y = beyond * x + radius * y, beyond * y - radius * x
+    # A centre that has just been reached has no direction
+    scale = gain.cruise_speed / max(math.sqrt(x * x + y * y), _NARROW)
     rate = gain.position_frequency / (2.0 * gain.damping)
-    climb = rate * (centre[2] - position[2])
-    return gain.cruise_speed * cos(course), gain.cruise_speed * sin(course), climb
+    return scale * x, scale * y, rate * (target[2] - position[2])
 
 
 @func
@@ -123,6 +138,7 @@ def fly_forward(
     gain: GainRow,
     gravity: float,
     dt: float,
+    memory: np.ndarray,
 ) -> tuple[Vec3, Vec3, Quat4]:
     """Integrate the motion of an aircraft that cannot hover over dt.
 
@@ -141,6 +157,7 @@ def fly_forward(
         gain: Row of `GAINS`.
         gravity: Gravitational acceleration, m/s^2.
         dt: Duration, s.
+        memory: (M,) state of the controllers; the phase of the flight to a position is updated.
 
     Returns:
         Velocity after dt, m/s, displacement, m, and attitude.
@@ -158,6 +175,10 @@ def fly_forward(
     speed = min(max(speed, gain.min_speed), gain.max_speed)
     most_turn = gravity * gain.max_bank / speed * dt
 
+    phase_index = memory.shape[0] - AUTOPILOT_MEMORY + WAYPOINT_PHASE
+    if level != SetpointLevel.POSITION:
+        memory[phase_index] = HOMING
+
     # Commanded changes of speed, heading and climb
     if level == SetpointLevel.ACCELERATION:
         faster = dt * (ahead[0] * setpoint[0] + ahead[1] * setpoint[1])
@@ -166,7 +187,9 @@ def fly_forward(
     else:
         target = (setpoint[0], setpoint[1], setpoint[2])
         if level == SetpointLevel.POSITION:
-            target = orbit_velocity(position, target, gain, gravity)
+            most = gravity * gain.max_bank
+            phase = update_phase(position, velocity, target, speed, most, dt, memory, phase_index)
+            target = waypoint_velocity(phase, position, velocity, target, gain, gravity)
         wanted = plus(target, -1.0, air)
         share = 1.0
         if kind == POINT_MASS:

@@ -263,8 +263,9 @@ def _fly_drones(
         lag, drag, most = point(constants, i)
         if gain.min_speed > 0.0:
             state = (position, quaternion, velocity)
+            memory = cascade.memory[w, i]
             velocity, moved, quaternion = fly_forward(
-                kind, level, wanted, state, wind, pull, lag, gain, air.gravity, dt
+                kind, level, wanted, state, wind, pull, lag, gain, air.gravity, dt, memory
             )
         else:
             # The drone is level, with the commanded yaw

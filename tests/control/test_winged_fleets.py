@@ -53,6 +53,8 @@ def test_plain_python_gives_the_same_bits():
         world.command(1, SetpointLevel.ATTITUDE, (0.3, 0.1, 0.0, 3.0))
         world.command(2, SetpointLevel.POSITION, (9.0, 600.0, 55.0, 0.0))
         world.step()
+        world.command(1, SetpointLevel.POSITION, (0.0, 310.0, 55.0, 0.0))
+        world.step()
         states.append([np.array(array) for array in world.swarm])
         world.close()
     for one, other in zip(*states, strict=True):
