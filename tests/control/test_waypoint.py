@@ -217,7 +217,7 @@ def test_a_new_target_is_passed_too(make_bench, dynamics):
     flown = Approaches(bench, [0.0], [(60.0, 10.0)], [(0.0, 0.0, 0.0)], seconds=20)
     for step in ((0.0, 9.0), (-30.0, 20.0), (200.0, 0.0)):
         flown.target[0, 0, :2] += step
-        position, phase = flown.fly(40)
+        position, phase = flown.fly(30)
         assert phase[0, 0] != LOITERING
         assert phase[-1, 0] == LOITERING
         away = np.linalg.norm(position[:, 0] - flown.target[0, 0, :2], axis=-1)
@@ -283,7 +283,7 @@ def test_another_level_between_makes_it_pass_again(make_bench, dynamics, level, 
     bench = make_bench(dynamics, TRAINER, worlds=1, substeps=10)
     flown = Approaches(bench, [0.0], [(40.0, 0.0)], [(0.0, 0.0, 0.0)], seconds=20)
     flown.fly(DECISION, level, np.reshape(np.array(setpoint, float), (1, 1, -1)))
-    position, phase = flown.fly(40)
+    position, phase = flown.fly(25)
     assert phase[0, 0] != LOITERING
     assert phase[-1, 0] == LOITERING
     assert np.linalg.norm(position[:, 0] - flown.target[0, 0, :2], axis=-1).min() < 1.8

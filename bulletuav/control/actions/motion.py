@@ -321,7 +321,8 @@ def turn_speed(context: ActionContext) -> Action:
 def target_position(context: ActionContext) -> Action:
     """Fly to a position and stop there.
 
-    On each axis, -1 and 1 are the lower and upper bounds of the arena. Yaw is held at 0.
+    On each axis, -1 and 1 are the lower and upper bounds of the arena. Yaw is held at 0. Aircraft
+    that cannot hover fly through the position, and then circle it.
     """
     # The arena from -1 to 1 on each axis
     centre = (context.arena_low + context.arena_high) / 2
