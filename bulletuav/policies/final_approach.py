@@ -53,8 +53,7 @@ class FinalApproach(Policy):
         slowest = np.where(gains["min_speed"] > 0, gains["min_speed"], HOVER_SPEED)
         self._slow = SLOW * slowest
         self._fast = np.minimum(FAST * slowest, self.task.config.touchdown_speed)
-        turn = 2 * max(self.task.context.turn_radius, 10.0)
-        self._capture = turn
+        self._capture = max(self.task.context.turn_radius, 10.0)
 
     def reset(self, mask: np.ndarray) -> None:
         """Do nothing: the policy is stateless."""
@@ -71,18 +70,19 @@ class FinalApproach(Policy):
         Args:
             offset: (W, N, 3) offsets to the touchdown point, m.
         """
-        aviary, memory = self.aviary, self.aviary.scene.memory
+        aviary = self.aviary
         distance = np.sqrt((offset[..., :2] ** 2).sum(axis=-1))
-        interval = RESERVE * self.task.config.runway_time
+        occupied = self.task.config.runway_time
+        reserve = (RESERVE - 1.0) * occupied
         speed = np.broadcast_to(self._fast, distance.shape).copy()
         now = aviary.steps / aviary.options.decision_hz
         for w in np.flatnonzero(aviary.alive.any(axis=1)).tolist():
-            free = memory["runway_used"][w, 0] + interval - now[w]
+            free = aviary.scene.memory["runway_free"][w, 0] - now[w] + reserve
             flying = np.flatnonzero(aviary.alive[w])
             for i in flying[np.argsort(distance[w, flying], kind="stable")].tolist():
                 arrival = max(distance[w, i] / self._fast[i], free)
                 speed[w, i] = max(distance[w, i] / max(arrival, 1e-6), self._slow[i])
-                free = distance[w, i] / speed[w, i] + interval
+                free = distance[w, i] / speed[w, i] + occupied + reserve
         limited: np.ndarray = np.minimum(speed, self._fast)
         return limited
 

@@ -23,8 +23,6 @@ from bulletuav.tasks.parts.waiting import decisions_waited
 from bulletuav.vehicle.airframe import Airframe
 from bulletuav.vehicle.envelope import find_envelope
 
-NEVER = -1e6
-"""Time of the last touchdown on an unused runway, s"""
 APPROACH_FACTOR = 1.5
 """Maximum ground speed at the touchdown in minimum speeds of the aircraft, which leaves room for
 some tailwind"""
@@ -59,9 +57,9 @@ class LandingStripConfig(TaskConfig):
     glide_angle: float = field(default=4.0, metadata={"most": 20.0})
     flare_height: float = field(default=1.0, metadata={"most": 10.0})
     distance: float = field(default=250.0, metadata={"most": 1000.0})
-    spacing: float = field(default=75.0, metadata={"most": 500.0})
+    spacing: float = field(default=65.0, metadata={"most": 500.0})
     spread: float = field(default=20.0, metadata={"most": 45.0})
-    runway_time: float = field(default=5.0, metadata={"most": 600.0})
+    runway_time: float = field(default=7.0, metadata={"most": 600.0})
     touchdown_speed: float = 14.0
     sink_rate: float = 1.5
     bank: float = field(default=15.0, metadata={"most": 90.0})
@@ -119,18 +117,18 @@ class LandingStrip(Task[LandingStripConfig]):
 
     The runway leads east from its threshold at the origin, is 12 m wide, and has a touchdown zone
     of 60 m. Aircraft start in flight on the glide path of 4 degrees, 250 m before the touchdown
-    point, the next ones 75 m behind each other, up to 20 degrees aside. The touchdown is decided
+    point, the next ones 65 m behind each other, up to 20 degrees aside. The touchdown is decided
     when the lowest point of the drone falls to 1 m above the runway, where the flare begins; flare
     and roll-out are not part of the task, so that it is the same in all dynamics. The touchdown
-    occupies the runway for 5 s. An aircraft that touched down is taken away.
+    occupies the runway for 7 s. An aircraft that touched down is taken away.
 
     A touchdown is safe in the touchdown zone, on a free runway, with at most: 1.5 m/s of sink rate,
     15 degrees of bank, 10 degrees between the motion and the runway, and 1.5 times the airframe's
     minimum speed over ground.
 
-    Observation, Box(35) per drone with the defaults, in world axes (east, north, up): position,
-    velocity, attitude as a quaternion, direction and distance of the touchdown point, and the
-    nearest active drones.
+    Observation, Box(36) per drone with the defaults, in world axes (east, north, up): position,
+    velocity, attitude as a quaternion, direction and distance of the touchdown point, the time
+    until the runway is free, and the nearest active drones.
 
     Action, by default `velocity`, Box(3) per drone in [-1, 1]: commanded velocity divided by
     max_speed. Its norm is limited to max_speed. There are 10 decisions a second.
@@ -155,14 +153,19 @@ class LandingStrip(Task[LandingStripConfig]):
     from the threshold, m, at the touchdown; 0 before.
 
     Difficulties: easy is calm with 2 aircraft. All others have 1 m/s of headwind; medium has 4
-    aircraft and 2 m/s of crosswind from the south, hard 6 and 3.5 m/s, 65 m apart, on 10 m of
-    width, extreme 8 and 5 m/s, 55 m apart, on 8 m. Wind acts on `point_mass`, `rigid_body` and
-    `bullet`.
+    aircraft and 2 m/s of crosswind from the south, hard 6 and 3.5 m/s, on 10 m of width, extreme 8
+    and 5 m/s, 60 m apart, up to 30 degrees aside, on 8 m. Wind acts on `point_mass`, `rigid_body`
+    and `bullet`.
+
+    65 m at 9.6 m/s, slightly above the trainer's minimum speed, are 6.8 s, less than the 7 s for
+    which the runway is occupied: with more aircraft, flying slowly is not enough of a delay, and
+    turns are needed. The horizon is 1.5 times the time that all touchdowns need, or more.
     """
 
     name = "landing_strip"
     needs_hover = False
     baseline = "final_approach"
+    oracle = "approach_oracle"
     shirkers: ClassVar = ("strip_low_pass", "strip_hold", "strip_rush", "strip_undershoot")
     defaults: ClassVar = {
         "airframe": "trainer",
@@ -175,11 +178,11 @@ class LandingStrip(Task[LandingStripConfig]):
     difficulties: ClassVar = {
         "easy": {"num_drones": 2},
         "medium": {"num_drones": 4, "wind": (-1.0, 2.0, 0.0)},
-        "hard": {"num_drones": 6, "width": 10.0, "spacing": 65.0, "wind": (-1.0, 3.5, 0.0)},
+        "hard": {"num_drones": 6, "width": 10.0, "wind": (-1.0, 3.5, 0.0)},
         "extreme": {
             "num_drones": 8,
             "width": 8.0,
-            "spacing": 55.0,
+            "spacing": 60.0,
             "spread": 30.0,
             "wind": (-1.0, 5.0, 0.0),
         },
@@ -189,6 +192,7 @@ class LandingStrip(Task[LandingStripConfig]):
         "velocity",
         "attitude",
         "goal",
+        "runway",
         "neighbours",
     )
     reward: ClassVar = {
@@ -251,8 +255,10 @@ class LandingStrip(Task[LandingStripConfig]):
         usual = kept_number(values, "distance", LandingStripConfig.distance)
         distance = max(usual, 5 * TURN_MARGIN * radius)
         spacing = kept_number(values, "spacing", LandingStripConfig.spacing)
-        farthest = distance + int(values["num_drones"]) * spacing
-        duration = DETOUR * farthest / slowest
+        interval = max(
+            spacing / slowest, kept_number(values, "runway_time", LandingStripConfig.runway_time)
+        )
+        duration = DETOUR * (distance / slowest + int(values["num_drones"]) * interval)
         return {
             "touchdown_speed": APPROACH_FACTOR * slowest,
             "distance": distance,
@@ -263,12 +269,13 @@ class LandingStrip(Task[LandingStripConfig]):
         """Return the shapes of the memory of the parts and of the task.
 
         Returns:
-            "down" (N,), 0 in flight, DOWN or SAFELY after a touchdown; "runway_used" (1,), time of
-            the last touchdown, s; "sink_rate", "centreline" and "touchdown" (N,), see the infos.
+            "down" (N,), 0 in flight, DOWN or SAFELY after a touchdown; "runway_free" (1,), time at
+            which the runway is free, s; "sink_rate", "centreline" and "touchdown" (N,), see the
+            infos.
         """
         drones = (self.context.num_drones,)
         own = dict.fromkeys(("down", "sink_rate", "centreline", "touchdown"), drones)
-        return {**super().memory(), **own, "runway_used": (1,)}
+        return {**super().memory(), **own, "runway_free": (1,)}
 
     def spawn(self, rng: np.random.Generator) -> Spawn:
         """Draw starts on the glide path, one behind the other, in a random order of the drones."""
@@ -290,7 +297,7 @@ class LandingStrip(Task[LandingStripConfig]):
             goal=self.touchdown,
             velocity=speed * along,
             quaternion=turn,
-            memory={"runway_used": np.full(1, NEVER)},
+            memory={"runway_free": np.zeros(1)},
         )
 
     def update_memory(self, frame: Frame, rngs: Rngs) -> None:
@@ -300,14 +307,14 @@ class LandingStrip(Task[LandingStripConfig]):
         place = frame.after.position
         due = (place[..., 2] <= self.flare) & frame.alive & (memory["down"] == 0)
         for w, i in np.argwhere(due).tolist():
-            is_free = frame.time[w] - memory["runway_used"][w, 0] >= self.config.runway_time
+            is_free = frame.time[w] >= memory["runway_free"][w, 0]
             safe = is_free and self._is_within_limits(frame, w, i)
             memory["down"][w, i] = SAFELY if safe else DOWN
             memory["sink_rate"][w, i] = -frame.after.velocity[w, i, 2]
             memory["centreline"][w, i] = abs(place[w, i, 1])
             memory["touchdown"][w, i] = place[w, i, 0]
             if self._is_on_runway(place[w, i]):
-                memory["runway_used"][w, 0] = frame.time[w]
+                memory["runway_free"][w, 0] = frame.time[w] + self.config.runway_time
 
     def _is_on_runway(self, place: np.ndarray) -> bool:
         """Return True if a position (3,) is above the touchdown zone."""

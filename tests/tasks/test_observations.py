@@ -148,6 +148,7 @@ SHOWN_MEMORY = {
     "pads": "pad_drone",
     "pad_clue": "clue",
     "claimed_pads": "claimed",
+    "runway": "runway_free",
     "clue_offset": "clue",
     "sighting": "sighting",
     "victims_found": "known_found",
