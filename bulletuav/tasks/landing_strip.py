@@ -204,14 +204,15 @@ class LandingStrip(Task[LandingStripConfig]):
         "collision": -50.0,
         "out_of_bounds": -20.0,
     }
+    # Touchdowns that cost much would teach drones to circle
     training_weights: ClassVar[Mapping[str, float]] = {
-        "progress": 0.01,
+        "progress": 0.02,
         "landing": 5.0,
-        "bad_landing": -1.0,
+        "bad_landing": -0.2,
         "waiting": -0.002,
         "conflict": -2.0,
         "collision": -2.0,
-        "out_of_bounds": -2.0,
+        "out_of_bounds": -1.0,
     }
     ends = (collision, leaves_arena, touched_down)
     success = landed_safely

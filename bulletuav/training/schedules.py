@@ -244,6 +244,71 @@ FAST_OWN: dict[str, dict[str, Any]] = {
         "options": {"difficulty": "medium", "d_safe": WIDE},
     },
     "free_flight": {"options": {"difficulty": "medium", "num_drones": [2, 8], "d_safe": WIDE}},
+    "landing_strip": {
+        "steps": 3_000_000,
+        "worlds": 48,
+        "evaluations": 3,
+        "episodes": 10,
+        "staggered": True,
+        "options": {
+            "dynamics": "point_mass",
+            # Speeds and descents of a safe touchdown, and none that is a loiter
+            "action": "heading_speed_climb",
+            "max_speed": 14.0,
+            "max_climb": 1.5,
+            # Few decisions, so that noise of actions moves an aircraft
+            "decision_hz": 2,
+            "horizon": 180,
+            "observation": ["velocity", "goal_offset", "runway", "neighbours"],
+            "num_neighbours": 3,
+            "weights": {"waiting": -0.01},
+        },
+        # As long as by default, at easy and medium
+        "evaluation": {"horizon": 180},
+        # From a shallow path to a wide runway at first, so that some touch down by chance
+        "stages": [
+            {
+                "difficulty": "easy",
+                "num_drones": 4,
+                "distance": 60.0,
+                "glide_angle": 1.0,
+                "width": 40.0,
+                "bank": 60.0,
+                "course": 45.0,
+            },
+            {
+                "difficulty": "easy",
+                "num_drones": 4,
+                "distance": 120.0,
+                "glide_angle": 2.0,
+                "width": 30.0,
+                "bank": 40.0,
+                "course": 30.0,
+            },
+            {
+                "difficulty": "easy",
+                "num_drones": 4,
+                "distance": 180.0,
+                "glide_angle": 3.0,
+                "width": 20.0,
+                "bank": 30.0,
+                "course": 20.0,
+            },
+            {"difficulty": "medium"},
+        ],
+        "curriculum": {"up": 0.5, "down": 0.0, "window": 200},
+        "model": {
+            "features": "swarm",
+            "n_steps": 64,
+            "gamma": 0.98,
+            "gae_lambda": 0.95,
+            "policy_kwargs": {
+                "net_arch": [64, 64],
+                "log_std_init": -1.5,
+                "features_extractor_kwargs": {"size": 16},
+            },
+        },
+    },
     "lidar_navigation": {
         "steps": 2_000_000,
         "options": {
