@@ -164,6 +164,7 @@ class LandingStrip(Task[LandingStripConfig]):
 
     name = "landing_strip"
     needs_hover = False
+    has_absent = True
     baseline = "final_approach"
     oracle = "approach_oracle"
     shirkers: ClassVar = ("strip_low_pass", "strip_hold", "strip_rush", "strip_undershoot")

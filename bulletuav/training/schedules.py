@@ -265,11 +265,12 @@ FAST_OWN: dict[str, dict[str, Any]] = {
         },
         # As long as by default, at easy and medium
         "evaluation": {"horizon": 180},
-        # From a shallow path to a wide runway at first, so that some touch down by chance
+        # From a shallow path to a wide runway at first, so that some touch down by chance. With four
+        # aircraft alone, two of them later miss the touchdown zone
         "stages": [
             {
                 "difficulty": "easy",
-                "num_drones": 4,
+                "num_drones": [2, 4],
                 "distance": 60.0,
                 "glide_angle": 1.0,
                 "width": 40.0,
@@ -278,7 +279,7 @@ FAST_OWN: dict[str, dict[str, Any]] = {
             },
             {
                 "difficulty": "easy",
-                "num_drones": 4,
+                "num_drones": [2, 4],
                 "distance": 120.0,
                 "glide_angle": 2.0,
                 "width": 30.0,
@@ -287,14 +288,14 @@ FAST_OWN: dict[str, dict[str, Any]] = {
             },
             {
                 "difficulty": "easy",
-                "num_drones": 4,
+                "num_drones": [2, 4],
                 "distance": 180.0,
                 "glide_angle": 3.0,
                 "width": 20.0,
                 "bank": 30.0,
                 "course": 20.0,
             },
-            {"difficulty": "medium"},
+            {"difficulty": "medium", "num_drones": [2, 4]},
         ],
         "curriculum": {"up": 0.5, "down": 0.0, "window": 200},
         "model": {

@@ -130,6 +130,18 @@ def test_the_horizon_leaves_time_for_all_touchdowns(drones, runway_time, horizon
     aviary.close()
 
 
+def test_absent_aircraft_do_not_land():
+    options = {"difficulty": "easy", "dynamics": "point_mass", "num_drones": (2, 4)}
+    aviary = Aviary("landing_strip", 8, seed=0, **options)
+    aviary.reset()
+    absent = ~aviary.alive
+    assert set(absent.sum(axis=1)) == {0, 1, 2}
+    aviary.swarm.position[..., 2] = 0.0
+    aviary.step(np.zeros((8, 4, 3)))
+    np.testing.assert_array_equal(aviary.scene.memory["down"] > 0, ~absent)
+    aviary.close()
+
+
 def test_starts_are_on_the_glide_path_and_apart():
     aviary = Aviary("landing_strip", 20, difficulty="extreme", dynamics="point_mass", seed=0)
     aviary.reset()
