@@ -19,4 +19,5 @@ def _runway_labels(task: Any) -> tuple[Label, ...]:
 @block(_runway_labels)
 def runway(all_runway_free: np.ndarray, time: float) -> float:
     """Time until the runway is free, 0 if it is; the tower sends it to all drones."""
-    return max(all_runway_free[0] - time, 0.0)
+    left: float = all_runway_free[0] - time
+    return max(left, 0.0)
