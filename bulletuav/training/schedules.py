@@ -265,8 +265,8 @@ FAST_OWN: dict[str, dict[str, Any]] = {
         },
         # As long as by default, at easy and medium
         "evaluation": {"horizon": 180},
-        # From a shallow path to a wide runway at first, so that some touch down by chance. With four
-        # aircraft alone, two of them later miss the touchdown zone
+        # From a shallow path to a wide runway at first, so that some touch down by chance. Policies
+        # of four aircraft miss the touchdown zone if there are only two
         "stages": [
             {
                 "difficulty": "easy",
