@@ -123,6 +123,19 @@ def variations():
     yield {"task": "crossing", "energy": "actuator", "battery_capacity": 0.05, "num_worlds": 5}
     yield {"task": "hover", "gravity": 0.0, "num_worlds": 5}
     yield {"task": "crossing", "horizon": 15, "num_worlds": 5}
+    yield {
+        "task": "free_flight",
+        "airframe": "quadplane",
+        "dynamics": "rigid_body",
+        "num_worlds": 5,
+    }
+    yield {
+        "task": "crossing",
+        "airframe": "trainer",
+        "action": "target_position",
+        "dynamics": "rigid_body",
+        "num_worlds": 5,
+    }
 
 
 def digest(given):

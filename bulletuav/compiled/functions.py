@@ -66,7 +66,7 @@ def two_to(_: Any, exponent: Any) -> Any:
 
 
 def _fma_of_numbers(x: float, y: float, z: float) -> np.float64:
-    """Return x y + z of numbers, rounded once: Python 3.13 has `math.fma`, earlier versions not."""
+    """Return x y + z of numbers, rounded once: `math.fma` needs Python 3.13."""
     if math.isfinite(x) and math.isfinite(y):
         if not math.isfinite(z):
             return np.float64(z)
@@ -93,8 +93,8 @@ def _fma(x: Any, y: Any, z: Any) -> Any:
 def fma(_: Any, x: Any, y: Any, z: Any) -> Any:
     """Return x y + z with a single rounding (fused multiply-add), for floats or in each lane.
 
-    Processors compute it as fast as a product. Those of before 2013 have no instruction for it, and
-    take many times longer. The compiler never fuses a product and a sum on its own.
+    Processors from `x86-64-v3` on compute it as fast as a product. Those below have no instruction
+    for it, and take many times longer. The compiler never fuses a product and a sum on its own.
     """
     kind = LANES if LANES in (x, y, z) else types.float64
     name, value = (f"v{WIDTH}f64", VECTOR) if kind == LANES else ("f64", ir.DoubleType())

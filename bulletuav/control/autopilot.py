@@ -218,7 +218,7 @@ def _line(slow: float, one: float, fast: float, other: float) -> tuple[float, fl
 def _surface_torque(row: np.record, wing: np.record) -> np.ndarray:
     """Return the torque of each control surface, (3, S), and write the damping of the rates.
 
-    They are derivatives of `wings.wing_wrench` for small angles: the torque per deflection and
+    They are derivatives of `wings.add_wing` for small angles: the torque per deflection and
     V^2, and per angular velocity and V.
     """
     torque = np.zeros((3, int(row["num_surfaces"])))

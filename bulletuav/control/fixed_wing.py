@@ -57,7 +57,7 @@ from bulletuav.control.autopilot import (
 from bulletuav.control.gains import GainRow
 from bulletuav.control.lee import mix, nose, velocity_setpoint
 from bulletuav.control.setpoint import SetpointLevel, is_flying_speed
-from bulletuav.control.waypoint import EXTENDING, HOMING, update_phase
+from bulletuav.control.waypoint import EXTENDING, HOMING, orbit_course, update_phase
 from bulletuav.geometry.rotation import (
     Quat4,
     Quat4Like,
@@ -150,8 +150,8 @@ def circle(position: Vec3Like, velocity: Vec3Like, centre: Vec3Like, pilot: Auto
 
     Far away it is L1 guidance to the point. On the circle it is the centripetal acceleration, with
     a proportional and derivative law of the distance (`update_loiter` of ArduPilot). Inside, while
-    flying away from the point, it is L1 guidance along the vector field of an orbit (Beard and
-    McLain, equation 10.13, with k_orbit = 1), which turns left at the centre.
+    its velocity has more of outward and clockwise than of their opposites, it is L1 guidance along
+    the course of `orbit_course`, which turns left at the centre.
 
     Args:
         position: Position, m, world.
@@ -171,7 +171,8 @@ def circle(position: Vec3Like, velocity: Vec3Like, centre: Vec3Like, pilot: Auto
     radius = pilot.loiter_radius
     beyond = distance - radius
     if beyond < 0.0 and around < -inward:
-        return turn_towards(velocity, beyond * x + radius * y, beyond * y - radius * x, pilot)
+        east, north = orbit_course(x, y, radius)
+        return turn_towards(velocity, east, north, pilot)
     # The natural frequency 2 pi / P of the L1 guidance, from its rate 4 pi z / P
     frequency = pilot.course_rate / (2.0 * L1_DAMPING)
     correction = frequency * frequency * beyond - 2.0 * L1_DAMPING * frequency * inward
@@ -787,6 +788,7 @@ def stabilise_one(
     command: np.ndarray,
 ) -> None:
     """Run `stabilise` for one aircraft; see `fly_winged` for the arguments."""
+    # In the same order as in `steering._stabilise_lanes`
     first = memory.shape[0] - AUTOPILOT_MEMORY
     loops = (
         memory[first + BANK],

@@ -7,8 +7,8 @@ point forever. Therefore the flight has three phases:
   path of a Dubins car to a point outside its turn circles.
 - EXTENDING: the target is inside a turn circle, to the left or to the right. The aeroplane flies
   straight on until the target is outside, with a margin.
-- LOITERING: the aeroplane has passed the target within a tenth of the radius of the tightest turn,
-  and circles it. After a pass at a larger distance it returns.
+- LOITERING: the aeroplane has passed the target, within a tenth of the radius of the tightest turn
+  and the way of one call, and circles it. After a pass at a larger distance it returns.
 
 A target may move. A step of more than half of the radius of the tightest turn is a new target,
 which the aeroplane passes before it circles it. Smaller steps, such as those of another aircraft
@@ -17,6 +17,7 @@ that is followed, do not change the phase. Only horizontal positions count.
 References:
     L. Dubins, On curves of minimal length with a constraint on average curvature, American Journal
     of Mathematics 79 (3), 1957.
+    R. Beard, T. McLain, Small Unmanned Aircraft, Princeton 2012: the vector field of an orbit.
 """
 
 import math
@@ -29,7 +30,7 @@ from bulletuav.geometry.rotation import Vec3Like
 HOMING, EXTENDING, LOITERING = range(3)
 """Phases, for compiled code; a flight starts with HOMING"""
 PASS_DISTANCE = 0.1
-"""Largest distance of a pass, in radii of the tightest turn"""
+"""Largest distance of a pass, in radii of the tightest turn; in addition to the way of one call"""
 NEW_TARGET = 0.5
 """Smallest step to a new target, in radii of the tightest turn"""
 EXTENSION_RADIUS = 1.3
@@ -68,7 +69,8 @@ def update_phase(
     phase = int(memory[first])
     east, north = target[0] - memory[first + 1], target[1] - memory[first + 2]
     step = NEW_TARGET * radius
-    if east * east + north * north > step * step:
+    # Also if one of the targets is NaN
+    if not (east * east + north * north <= step * step):
         phase = HOMING
     if phase != LOITERING:
         x, y = target[0] - position[0], target[1] - position[1]
@@ -91,3 +93,22 @@ def update_phase(
     memory[first + 1] = target[0]
     memory[first + 2] = target[1]
     return phase
+
+
+@func
+def orbit_course(x: float, y: float, radius: float) -> tuple[float, float]:
+    """Return the course of the vector field that leads to a circle around a point, to the left.
+
+    Far away it points to the centre, and on the circle along it: equation 10.13 of Beard and
+    McLain, with k_orbit = 1.
+
+    Args:
+        x: East offset from the aircraft to the centre, m.
+        y: North offset, m.
+        radius: Radius of the circle, m.
+
+    Returns:
+        East and north component, of any length; 0 at the centre.
+    """
+    beyond = math.sqrt(x * x + y * y) - radius
+    return beyond * x + radius * y, beyond * y - radius * x

@@ -40,14 +40,14 @@ from bulletuav.control.autopilot import AUTOPILOT_MEMORY, WAYPOINT_PHASE
 from bulletuav.control.gains import NUM_CLIMBS, GainRow
 from bulletuav.control.lee import nose
 from bulletuav.control.setpoint import SetpointLevel, is_flying_speed
-from bulletuav.control.waypoint import EXTENDING, HOMING, LOITERING, update_phase
+from bulletuav.control.waypoint import EXTENDING, HOMING, LOITERING, orbit_course, update_phase
 from bulletuav.geometry.rotation import Quat4, Quat4Like, Vec3, from_euler, heading, plus
 
 POINT_MASS, SINGLE_INTEGRATOR, DOUBLE_INTEGRATOR = range(3)
 """Kinds of kinematic dynamics, for compiled code."""
 LOITER_FRACTION = 0.5
 """Turn rate of a loiter as a fraction of the largest one."""
-_NARROW = 1e-9
+_SMALLEST = 1e-9
 """Smallest number that is divided by: a range of airspeeds, m/s, or a length, m."""
 
 
@@ -66,7 +66,7 @@ def excess_climb(speed: float, gain: GainRow) -> float:
         gain: Row of `GAINS`.
     """
     place = (NUM_CLIMBS - 1) * (speed - gain.min_speed)
-    place /= max(gain.max_speed - gain.min_speed, _NARROW)
+    place /= max(gain.max_speed - gain.min_speed, _SMALLEST)
     k = min(int(place), NUM_CLIMBS - 2)
     first: float = gain.excess_climb[k]
     rise: float = gain.excess_climb[k + 1] - first
@@ -79,9 +79,8 @@ def waypoint_velocity(
 ) -> Vec3:
     """Return the velocity towards a target position, or around it, m/s.
 
-    A loiter follows a vector field. Far away, the field points to the target; on the circle, along
-    it to the left (Beard and McLain, equation 10.13, with k_orbit = 1). The height approaches that
-    of the target as in `velocity_setpoint`.
+    A loiter follows `orbit_course`. The height approaches that of the target as in
+    `velocity_setpoint`.
 
     Args:
         phase: Phase of the flight, see `update_phase`.
@@ -95,11 +94,9 @@ def waypoint_velocity(
     if phase == EXTENDING:
         x, y = velocity[0], velocity[1]
     elif phase == LOITERING:
-        radius = loiter_radius(gain.cruise_speed, gain, gravity)
-        beyond = math.sqrt(x * x + y * y) - radius
-        x, y = beyond * x + radius * y, beyond * y - radius * x
+        x, y = orbit_course(x, y, loiter_radius(gain.cruise_speed, gain, gravity))
     # A centre that has just been reached has no direction
-    scale = gain.cruise_speed / max(math.sqrt(x * x + y * y), _NARROW)
+    scale = gain.cruise_speed / max(math.sqrt(x * x + y * y), _SMALLEST)
     rate = gain.position_frequency / (2.0 * gain.damping)
     return scale * x, scale * y, rate * (target[2] - position[2])
 

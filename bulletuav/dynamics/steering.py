@@ -47,7 +47,7 @@ class Steering(NamedTuple):
     Attributes:
         nominal_rows: (W, N) rows of `PARAMETERS`, the nominal parameters in the controller's model.
         gain_rows: (W, N) rows of `GAINS`.
-        memory: (W, N, M) state of the controllers' observers.
+        memory: (W, N, M) state of the controllers.
         integral: Whether observers estimate steady disturbance forces.
         autopilot: Controller of the aircraft with wings; None in a swarm without any.
         is_lee: Whether the controller is Lee's.
@@ -118,7 +118,10 @@ def _common_level(steering: Any, levels: np.ndarray, drone: int) -> int:
         w, i = other // num_drones, other % num_drones
         row = steering.nominal_rows[w, i]
         differs = levels[w, i] != level or (row.drag_height > 0.0) != tips
-        if row.num_rotors > 0 and (differs or has_autopilot(autopilot, w, i) != hovers):
+        flown = has_autopilot(autopilot, w, i)
+        if row.num_rotors > 0 and (
+            differs or flown != hovers or is_vtol(autopilot, w, i) != hovers
+        ):
             return ALONE
     return int(level)
 
@@ -224,6 +227,7 @@ def _stabilise_lanes(
     if not has_autopilot(autopilot, w, i):
         return False
     first = steering.memory.shape[2] - AUTOPILOT_MEMORY
+    # In the same order as in `fixed_wing.stabilise_one`
     loops = (
         gathered(steering.memory, drone, first + BANK),
         gathered(steering.memory, drone, first + PITCH),

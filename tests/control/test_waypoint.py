@@ -267,6 +267,20 @@ def test_a_point_that_stays_ahead_is_flown_as_a_velocity(make_bench, dynamics, a
     np.testing.assert_allclose(*tracks, atol=0.3)
 
 
+@pytest.mark.parametrize("dynamics", ["point_mass", "rigid_body"])
+def test_it_does_not_turn_to_a_near_point_that_stays_abeam(make_bench, dynamics):
+    bench = make_bench(dynamics, TRAINER, worlds=1, substeps=10)
+    flown = Approaches(bench, [0.0], [(0.0, 0.0)], [(0.0, 0.0, 0.0)], seconds=DECISION)
+    before = bench.swarm.velocity[0, 0, :2].copy()
+    for _ in range(100):
+        flown.target[0, 0, :3] = bench.swarm.position[0, 0] + (0.0, 20.0, 0.0)
+        _, phase = flown.fly(DECISION)
+        assert phase[0, 0] == EXTENDING
+    after = bench.swarm.velocity[0, 0, :2]
+    course = [math.atan2(velocity[1], velocity[0]) for velocity in (before, after)]
+    assert course[0] == pytest.approx(course[1], abs=0.05)
+
+
 @pytest.mark.parametrize(
     ("dynamics", "level", "setpoint"),
     [
@@ -340,6 +354,9 @@ def test_threads_and_snapshots_give_the_same_bits(dynamics):
             assert (away > RADIUS).all()
             ends.append(aviary.swarm.position.copy())
             aviary.load_state(saved)
+        assert (aviary.worlds.cascade.memory[..., WAYPOINT_PHASE - AUTOPILOT_MEMORY] > 0).all()
+        aviary.reset()
+        assert not aviary.worlds.cascade.memory[..., WAYPOINT_PHASE - AUTOPILOT_MEMORY :].any()
         aviary.close()
     for other in ends[1:]:
         np.testing.assert_array_equal(ends[0], other)
@@ -351,9 +368,12 @@ def test_plain_python_gives_the_same_bits():
         world = bulletuav.Airspace(
             np.array([(0.0, 0.0, 50.0)]), ["trainer"], dynamics="point_mass", debug=debug
         )
+        phases = []
         for target in ((1.0, 5.0, 50.0, 0.0), (-0.1, 0.0, 50.0, 0.0)):
             world.command(0, POSITION, target)
             world.step()
+            phases.append(int(world.world.cascade.memory[0, 0, WAYPOINT_PHASE - AUTOPILOT_MEMORY]))
+        assert phases == [EXTENDING, LOITERING]
         ends.append(world.swarm.position.copy())
         world.close()
     np.testing.assert_array_equal(*ends)
