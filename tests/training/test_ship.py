@@ -116,3 +116,24 @@ def test_scores_are_written_beside_the_policy_and_into_the_page(ship, tmp_path, 
     monkeypatch.setattr(ship, "decide", lambda task, policy, *of: float(policy != "stay"))
     assert ship.ship_best("hover", [run], 2)
     assert not path.exists()
+
+
+def test_only_levels_that_policies_can_fly_decide(ship, tmp_path, monkeypatch):
+    run = ship.train_seed("hover", 0, tmp_path / "runs")
+    flown = []
+
+    def decide(task, policy, episodes, levels):
+        flown.append(list(levels))
+        return float(policy == run)
+
+    monkeypatch.setattr(ship, "decide", decide)
+    assert ship.ship_best("hover", [run], 2, ["easy", "hard"])
+    assert ship.ship_best("hover", [run], 2, ["easy", "hard"])
+    assert flown == [["easy"], ["easy"], ["easy"], ["easy"], ["easy", "hard"], ["easy", "hard"]]
+
+
+def test_a_level_has_to_decide(ship, monkeypatch, capsys):
+    monkeypatch.setattr("sys.argv", ["ship.py", "hover", "--levels", "hard", "extreme"])
+    with pytest.raises(SystemExit):
+        ship.main()
+    assert "--levels hard extreme: easy or medium has to decide" in capsys.readouterr().err
