@@ -240,7 +240,7 @@ FAST_OWN: dict[str, dict[str, Any]] = {
         },
     },
     "formation": {
-        "steps": 1_200_000,
+        "steps": 8_000_000,
         "options": {"difficulty": "medium", "d_safe": WIDE},
     },
     "free_flight": {"options": {"difficulty": "medium", "num_drones": [2, 8], "d_safe": WIDE}},
@@ -379,7 +379,7 @@ FAST_OWN: dict[str, dict[str, Any]] = {
         },
     },
     "pursuit": {
-        "steps": 1_000_000,
+        "steps": 8_000_000,
         "options": {
             "difficulty": "medium",
             "num_drones": 6,
@@ -438,7 +438,7 @@ FAST_OWN: dict[str, dict[str, Any]] = {
         "model": {"n_steps": 64, "gamma": 0.985},
     },
     "mec": {**FAST_SERVICE, "steps": 800_000},
-    "mec_advanced": FAST_SERVICE,
+    "mec_advanced": {**FAST_SERVICE, "steps": 2_000_000},
     "mobile_users": FAST_SERVICE,
     "pursuit_evasion": {"steps": 1_500_000, "evaluations": 2, "episodes": 10},
     "race": {
