@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Any, ClassVar
 
 import numpy as np
@@ -254,12 +254,13 @@ class LandingStrip(Task[LandingStripConfig]):
         """Return touchdown speed, distance and horizon; see the base class."""
         slowest = max(find_envelope(one).min_speed for one in airframes)
         radius = tightest_turn(airframes)
-        usual = kept_number(values, "distance", LandingStripConfig.distance)
-        distance = max(usual, 5 * TURN_MARGIN * radius)
-        spacing = kept_number(values, "spacing", LandingStripConfig.spacing)
-        interval = max(
-            spacing / slowest, kept_number(values, "runway_time", LandingStripConfig.runway_time)
-        )
+        sizes = {
+            one.name: kept_number(values, one.name, one.default, one.metadata["most"])
+            for one in fields(LandingStripConfig)
+            if one.name in ("distance", "spacing", "runway_time")
+        }
+        distance = max(sizes["distance"], 5 * TURN_MARGIN * radius)
+        interval = max(sizes["spacing"] / slowest, sizes["runway_time"])
         duration = DETOUR * (distance / slowest + int(values["num_drones"]) * interval)
         return {
             "touchdown_speed": APPROACH_FACTOR * slowest,

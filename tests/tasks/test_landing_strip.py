@@ -219,3 +219,9 @@ def test_the_baseline_lands_at_all_levels(dynamics):
 def test_impossible_options_are_errors(options, message):
     with pytest.raises(ValueError, match=message):
         Aviary("landing_strip", 1, **options)
+
+
+@pytest.mark.parametrize("name", ["distance", "spacing", "runway_time"])
+def test_a_size_beyond_its_bound_is_named(name):
+    with pytest.raises(ValueError, match=f"^{name} is 1e\\+300"):
+        Aviary("landing_strip", **{name: 1e300})

@@ -21,13 +21,15 @@ def tightest_turn(airframes: Sequence[Airframe]) -> float:
     return max(map(turn_radius, airframes))
 
 
-def kept_number(kept: Mapping[str, Any], name: str, usual: float) -> float:
+def kept_number(
+    kept: Mapping[str, Any], name: str, usual: float, most: float | None = None
+) -> float:
     """Return an option that stays, or its usual value.
 
     Raises:
-        ValueError: If the option is not a finite number, or below 0.
+        ValueError: If the option is not a finite number, below 0, or above `most`.
     """
-    return finite(name, kept[name], 0.0) if name in kept else usual
+    return finite(name, kept[name], 0.0, most) if name in kept else usual
 
 
 def forward_sizes(
