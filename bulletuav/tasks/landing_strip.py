@@ -254,10 +254,10 @@ class LandingStrip(Task[LandingStripConfig]):
         """Return touchdown speed, distance and horizon; see the base class."""
         slowest = max(find_envelope(one).min_speed for one in airframes)
         radius = tightest_turn(airframes)
+        most = {one.name: one.metadata.get("most") for one in fields(LandingStripConfig)}
         sizes = {
-            one.name: kept_number(values, one.name, one.default, one.metadata["most"])
-            for one in fields(LandingStripConfig)
-            if one.name in ("distance", "spacing", "runway_time")
+            name: kept_number(values, name, getattr(LandingStripConfig, name), most[name])
+            for name in ("distance", "spacing", "runway_time")
         }
         distance = max(sizes["distance"], 5 * TURN_MARGIN * radius)
         interval = max(sizes["spacing"] / slowest, sizes["runway_time"])
