@@ -150,8 +150,8 @@ def circle(position: Vec3Like, velocity: Vec3Like, centre: Vec3Like, pilot: Auto
 
     Far away it is L1 guidance to the point. On the circle it is the centripetal acceleration, with
     a proportional and derivative law of the distance (`update_loiter` of ArduPilot). Inside, while
-    its velocity has more of outward and clockwise than of their opposites, it is L1 guidance along
-    the course of `orbit_course`, which turns left at the centre.
+    the sum of outward and clockwise speed is positive, it is L1 guidance along `orbit_course`,
+    which turns left at the centre.
 
     Args:
         position: Position, m, world.
@@ -871,7 +871,7 @@ def stabilise(
             lift, pushing = goal[3], 0.0
         else:
             lift, pushing = 0.0, forward_rotor_speed(goal[3], max(body[0], 0.0), row, pilot)
-    # Aeroplanes always do
+    # An aeroplane, whose can_hover is 0, always flies on its wings
     is_borne = borne > pilot.can_hover - 1.0
     frequency = (
         where(is_borne, pilot.attitude_frequency[0], gain.attitude_frequency[0]),

@@ -7,8 +7,9 @@ point forever. Therefore the flight has three phases:
   path of a Dubins car to a point outside its turn circles.
 - EXTENDING: the target is inside a turn circle, to the left or to the right. The aeroplane flies
   straight on until the target is outside, with a margin.
-- LOITERING: the aeroplane has passed the target, within a tenth of the radius of the tightest turn
-  and the way of one call, and circles it. After a pass at a larger distance it returns.
+- LOITERING: the aeroplane has passed the target and circles it. A pass is within a tenth of the
+  radius of the tightest turn plus the distance flown in one step of the controller; after a wider
+  one the aeroplane returns.
 
 A target may move. A step of more than half of the radius of the tightest turn is a new target,
 which the aeroplane passes before it circles it. Smaller steps, such as those of another aircraft
@@ -30,7 +31,7 @@ from bulletuav.geometry.rotation import Vec3Like
 HOMING, EXTENDING, LOITERING = range(3)
 """Phases, for compiled code; a flight starts with HOMING"""
 PASS_DISTANCE = 0.1
-"""Largest distance of a pass, in radii of the tightest turn; in addition to the way of one call"""
+"""Largest distance of a pass, in radii of the tightest turn; the distance of a step is added"""
 NEW_TARGET = 0.5
 """Smallest step to a new target, in radii of the tightest turn"""
 EXTENSION_RADIUS = 1.3

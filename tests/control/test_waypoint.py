@@ -303,18 +303,17 @@ def test_another_level_between_makes_it_pass_again(make_bench, dynamics, level, 
     assert np.linalg.norm(position[:, 0] - flown.target[0, 0, :2], axis=-1).min() < 1.8
 
 
+def make_crossing(**options):
+    """Four worlds of one aeroplane that is commanded target positions."""
+    options |= {"airframe": "trainer", "num_drones": 1, "action": "target_position"}
+    aviary = bulletuav.Aviary("crossing", 4, **options)
+    aviary.reset()
+    return aviary
+
+
 @pytest.mark.parametrize("dynamics", DYNAMICS)
 def test_crossing_is_solved_by_targets_at_the_goal(dynamics):
-    aviary = bulletuav.Aviary(
-        "crossing",
-        4,
-        airframe="trainer",
-        num_drones=1,
-        dynamics=dynamics,
-        action="target_position",
-        seed=2,
-    )
-    aviary.reset()
+    aviary = make_crossing(dynamics=dynamics, seed=2)
     succeeded = np.zeros(4, dtype=bool)
     for _ in range(aviary.options.horizon):
         step = aviary.step(aviary.action.encode(aviary.scene.goal))
@@ -330,18 +329,7 @@ def test_threads_and_snapshots_give_the_same_bits(dynamics):
     """Property: the phase is part of the state, whichever thread flies the aeroplane."""
     ends = []
     for threads in (1, 2):
-        aviary = bulletuav.Aviary(
-            "crossing",
-            4,
-            airframe="trainer",
-            num_drones=1,
-            dynamics=dynamics,
-            action="target_position",
-            turbulence="light",
-            threads=threads,
-            seed=4,
-        )
-        aviary.reset()
+        aviary = make_crossing(dynamics=dynamics, turbulence="light", threads=threads, seed=4)
         # All of them are passed after about 60 m
         centre = aviary.action.encode(np.broadcast_to((0.0, 0.0, 50.0), (4, 1, 3)))
         for _ in range(100):
