@@ -211,8 +211,9 @@ class AirsimServer:
         try:
             await self._recorder.record(self._pictures)
         except (DrawingError, OSError, ValueError) as error:
-            self._recorder.stop()
+            # First the reason: who sees that the recording has ended can then read why
             logging.getLogger(LOG_NAME).warning("the recording ended: %s", error)
+            self._recorder.stop()
 
     async def _serve_client(self, stream: StreamConnection) -> None:
         await _Client(self, stream).serve()
