@@ -222,6 +222,8 @@ def test_a_reset_mends_what_an_interrupt_left_wherever_it_came(task):
                 return
             if not frame.f_code.co_filename.startswith(package):
                 return
+            if frame.f_code.co_name == "<genexpr>":
+                return  # `any` closes it early; Python ignores what is raised meanwhile
             left -= 1
             if left < 0:
                 sys.setprofile(None)
