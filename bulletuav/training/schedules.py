@@ -152,6 +152,17 @@ WIDE = 6.0
 """Separation that training asks for, m: policies that keep it seldom fall below the task's 5 m"""
 CITIES = {"num_layouts": 16, "city_seed": 77}
 """Cities of trainings, which no evaluation uses"""
+STREETS = {
+    "progress": 0.1,
+    "goal": 3.0,
+    "time": -0.01,
+    "energy": -0.0002,
+    "collision": -4.0,
+    "conflict": -4.0,
+    "out_of_bounds": -1.0,
+    "warning": -0.1,
+}
+"""Weights of flights through streets, as in examples/streets.py"""
 FAST_SERVICE: dict[str, Any] = {
     "steps": 400_000,
     "evaluations": 2,
@@ -241,9 +252,12 @@ FAST_OWN: dict[str, dict[str, Any]] = {
     },
     "formation": {
         "steps": 8_000_000,
-        "options": {"difficulty": "medium", "d_safe": WIDE},
+        "options": {"difficulty": "medium", "d_safe": WIDE, "dynamics": "rigid_body"},
     },
-    "free_flight": {"options": {"difficulty": "medium", "num_drones": [2, 8], "d_safe": WIDE}},
+    "free_flight": {
+        "steps": 6_000_000,
+        "options": {"difficulty": "medium", "num_drones": [2, 8], "d_safe": WIDE},
+    },
     "landing_strip": {
         "steps": 3_000_000,
         "worlds": 48,
@@ -311,32 +325,32 @@ FAST_OWN: dict[str, dict[str, Any]] = {
         },
     },
     "lidar_navigation": {
-        "steps": 2_000_000,
+        "steps": 16_000_000,
         "options": {
             "observation": ["velocity", "goal", "battery", "room", "lidar"],
             "num_drones": [3, 8],
             "difficulty": "medium",
             "dynamics": "rigid_body",
             **CITIES,
-            # Those of examples/streets.py
-            "weights": {
-                "progress": 0.1,
-                "goal": 3.0,
-                "time": -0.01,
-                "energy": -0.0002,
-                "collision": -4.0,
-                "conflict": -4.0,
-                "out_of_bounds": -1.0,
-                "warning": -0.1,
-                "proximity": -0.02,
-            },
+            "weights": {**STREETS, "proximity": -0.02},
         },
     },
     "navigation": {
+        "steps": 16_000_000,
         "worlds": 64,
-        "options": {"difficulty": "medium", "num_drones": [3, 5], "num_neighbours": 2},
+        "options": {
+            "difficulty": "medium",
+            "num_drones": [3, 5],
+            "num_neighbours": 2,
+            "dynamics": "rigid_body",
+            "weights": STREETS,
+            **CITIES,
+        },
     },
-    "obstacles": {"steps": 1_000_000, "options": {"difficulty": "medium", "num_drones": [4, 12]}},
+    "obstacles": {
+        "steps": 6_000_000,
+        "options": {"difficulty": "medium", "num_drones": [4, 12], "d_safe": WIDE},
+    },
     "pad_landing": {
         "steps": 5_000_000,
         "worlds": 48,
@@ -417,7 +431,7 @@ FAST_OWN: dict[str, dict[str, Any]] = {
         },
     },
     "default": {
-        "steps": 3_000_000,
+        "steps": 12_000_000,
         "evaluations": 3,
         "episodes": 10,
         "options": {
@@ -465,19 +479,22 @@ FAST_OWN: dict[str, dict[str, Any]] = {
         },
     },
     "search": {
-        "steps": 1_500_000,
+        "steps": 3_000_000,
         "evaluations": 2,
         "worlds": 64,
         "staggered": True,
         "options": {
             "dynamics": "rigid_body",
             "observation": ["velocity", "clue_offset", "sighting", "searched_cells", "lidar"],
+            # With ten a second, noise of actions moves a drone too little to find victims
+            "decision_hz": 2,
+            "horizon": 120,
         },
-        # Drones with more noise do not hover
+        "evaluation": {"horizon": 120},
         "model": {
-            "n_steps": 64,
-            "gamma": 0.985,
-            "policy_kwargs": {"net_arch": [64, 64], "log_std_init": -1.6},
+            "n_steps": 32,
+            "gamma": 0.96,
+            "policy_kwargs": {"net_arch": [64, 64], "log_std_init": -1.0},
         },
     },
     "transport": {
