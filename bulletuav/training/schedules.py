@@ -431,7 +431,7 @@ FAST_OWN: dict[str, dict[str, Any]] = {
         },
     },
     "default": {
-        "steps": 12_000_000,
+        "steps": 3_000_000,
         "evaluations": 3,
         "episodes": 10,
         "options": {
